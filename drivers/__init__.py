@@ -1,0 +1,1 @@
+"""CAN protocols of motor controllers. A new controller is one file here and one line in `DRIVERS`."""

@@ -1,0 +1,183 @@
+"""What the gateway and a motor-controller driver say to each other.
+
+How this works
+--------------
+A driver is one instance per group of motors that share a protocol on one bus. It owns no bus, no clock and no
+thread: `receive` takes frames in, `command` gives frames out once per cycle, and time is an argument. Bring-up
+and recovery are states that `command` advances; nothing here blocks.
+
+Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mounting direction are not the
+driver's business: `gateway.control.transmission` applies them, once.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+
+class CanFrame(NamedTuple):
+    """One classic CAN frame. `received_ns` is CLOCK_MONOTONIC; None on a frame that is to be sent."""
+
+    bus: str
+    id: int
+    data: bytes
+    extended: bool = False
+    remote: bool = False
+    received_ns: int | None = None
+
+
+class CommandKind(Enum):
+    """The ways a motor can be asked to behave; which of them a controller knows is in its `Capabilities`."""
+
+    COAST = "coast"
+    BRAKE = "brake"
+    VELOCITY = "velocity"
+    TORQUE = "torque"
+    VOLTAGE = "voltage"
+
+
+class MotorCommand(NamedTuple):
+    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake."""
+
+    kind: CommandKind
+    value: float = 0.0
+
+
+COAST = MotorCommand(CommandKind.COAST)
+BRAKE = MotorCommand(CommandKind.BRAKE)
+
+
+class MotorState(Enum):
+    """Where a motor controller is on its way to obeying."""
+
+    SILENT = "silent"  # never heard, or not heard within the feedback timeout
+    IDLE = "idle"  # heard, motor de-energised (coasting)
+    STARTING = "starting"  # bring-up under way
+    OPERATIONAL = "operational"  # obeys setpoints
+    FAULT = "fault"  # the controller, or the driver on its behalf, refuses; see `fault`
+
+
+class DriverFault(NamedTuple):
+    """Why a motor refuses: our code, the vendor's own words, and whether only an explicit reset may clear it."""
+
+    code: str
+    text: str
+    latched: bool
+
+
+class MotorFeedback(NamedTuple):
+    """Measurement from one motor; whatever the controller did not report is None."""
+
+    state: MotorState
+    position: float | None = None  # rad at the motor shaft, multi-turn
+    velocity: float | None = None  # rad/s
+    torque: float | None = None  # N m
+    voltage: float | None = None  # V
+    temperature_c: float | None = None
+    fault: DriverFault | None = None
+    age_ns: int | None = None  # since the last position/velocity measurement
+
+
+class Capabilities(NamedTuple):
+    """What a controller can do on its own; every controller can coast."""
+
+    velocity: bool
+    torque: bool
+    voltage: bool
+    brake: bool
+    device_watchdog: bool
+
+
+class Watchdog(NamedTuple):
+    """The controller's own command timeout: written, then read back before the motor may be armed.
+
+    The two endpoints are the controller's parameter numbers, valid for exactly the firmware version given.
+    """
+
+    timeout_s: float
+    firmware: str
+    enable_endpoint: int
+    timeout_endpoint: int
+
+
+class MotorSpec(NamedTuple):
+    """What a driver is told of one motor; limits are at the motor shaft."""
+
+    name: str
+    id: int
+    variant: str
+    max_speed: float  # rad/s
+    max_torque: float  # N m
+    max_current: float  # A
+    feedback_rate: float  # Hz, as configured in the controller
+    watchdog: Watchdog | None  # None: waived in the robot file, with the reason there
+
+
+class Traffic(NamedTuple):
+    """One cyclic frame on the bus, for the load budget."""
+
+    name: str
+    extended: bool
+    length: int
+    rate_hz: float
+
+
+class DecodedFrame(NamedTuple):
+    """A frame in words: motor concerned (None: several or none), message name, fields in wire order."""
+
+    motor: str | None
+    message: str
+    fields: tuple[tuple[str, float | int], ...]
+
+
+class Driver(Protocol):
+    """Sans-IO state machine of one group of motors. Per-motor sequences are always in the order of the specs."""
+
+    @property
+    def capabilities(self) -> Capabilities: ...
+
+    def receive(self, frame: CanFrame) -> bool:
+        """Take one received frame; True when it was ours. Foreign, short and wild frames never raise."""
+        ...
+
+    def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
+        """Advance every motor's state towards its command; the frames to send in this cycle.
+
+        A motor commanded anything but COAST is brought up (armed) if it is not; one commanded COAST is released.
+        Values beyond a limit saturate. A NaN or an unsupported kind raises ValueError: that is our own bug.
+        """
+        ...
+
+    def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
+        """The latest measurement and state of each motor."""
+        ...
+
+    def clear_faults(self) -> None:
+        """Forget latched faults and ask the controllers to do the same; arms nothing."""
+        ...
+
+    def coast_frames(self) -> list[CanFrame]:
+        """Frames that release every motor; valid in any state."""
+        ...
+
+    def stop_frames(self) -> list[CanFrame]:
+        """Frames that bring every motor to rest as well as the protocol can without feedback; valid in any state."""
+        ...
+
+    def decode(self, frame: CanFrame) -> DecodedFrame | None:
+        """A sent or received frame in words, or None when it is not of this driver."""
+        ...
+
+    def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
+        """Every cyclic frame of this group, both directions."""
+        ...
+
+
+class DriverType(Protocol):
+    """Makes the driver of one group: the value type of the registry `drivers.DRIVERS`."""
+
+    variants: tuple[str, ...]
+
+    def __call__(self, bus: str, motors: Sequence[MotorSpec]) -> Driver:
+        """Build the driver. Raises ValueError naming the motor and the allowed range (ids, variants)."""
+        ...

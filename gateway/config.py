@@ -1,0 +1,277 @@
+"""The robot file: TOML, everything in SI, unknown keys rejected. What people type is checked here, once."""
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from gateway.types import Twist
+
+NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"  # also safe as one chunk of a Zenoh key
+
+Name = Annotated[str, Field(pattern=NAME_PATTERN, description="lower case, digits, _ and -, at most 32 characters")]
+Metres = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=1e-3, le=10.0, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3, allow_inf_nan=False, description="rad")]
+Seconds = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
+Rate = Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False, description="Hz")]
+Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
+
+
+class ConfigError(ValueError):
+    """A robot file that must not be driven with; each problem names file, key, value and the allowed range."""
+
+    def __init__(self, origin: str, problems: Iterable[str]) -> None:
+        self.origin = origin
+        self.problems = tuple(problems)
+        super().__init__("\n".join(f"{origin}: {problem}" for problem in self.problems))
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Axes(_Section):
+    """One number per body axis: vx and vy in m, wz in rad (per s, s^2 or s^3)."""
+
+    vx: Positive
+    vy: Positive
+    wz: Positive
+
+    def as_twist(self) -> Twist:
+        """The three numbers in the order of the core."""
+        return Twist(self.vx, self.vy, self.wz)
+
+
+class Body(_Section):
+    """Mass properties of the whole robot, used by the simulated world (and by no control law yet)."""
+
+    mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
+    inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]
+    joint_friction: NonNegative = 0.0  # N m s/rad at every driven joint
+    joint_inertia: NonNegative = 0.0  # kg m^2 of every driven joint, rotor included, at the output
+
+
+class OmniWheel(_Section):
+    """Pose of one omni wheel: contact point, angle of the axle (outward), rolling radius."""
+
+    motor: Name
+    x: Metres
+    y: Metres
+    axis_angle: Angle
+    radius: Length
+
+
+class OmniRobot(_Section):
+    """n omni wheels at arbitrary poses."""
+
+    kind: Literal["omni"]
+    name: Name
+    body: Body
+    wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
+
+    def motor_names(self) -> tuple[str, ...]:
+        """Motors of the chassis in wheel order."""
+        return tuple(wheel.motor for wheel in self.wheel)
+
+
+class Caster(_Section):
+    """The passive caster: trail d3, joint distance d4 ahead of the pivot, wheel radius Rc."""
+
+    trail: Length
+    position: Length
+    radius: Length
+
+
+class OffsetDifferentialRobot(_Section):
+    """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
+
+    kind: Literal["offset_differential"]
+    name: Name
+    body: Body
+    chassis_inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2, the chassis below the joint")]
+    wheel_radius: Length
+    axle_offset: Length  # d1 of the paper
+    track: Length  # d2
+    left: Name
+    right: Name
+    platform: Name
+    caster: Caster | None = None
+
+    def motor_names(self) -> tuple[str, ...]:
+        """Left wheel, right wheel, platform joint."""
+        return (self.left, self.right, self.platform)
+
+
+class Loop(_Section):
+    rate: Annotated[float, Field(ge=10.0, le=1000.0, description="Hz")] = 250.0
+
+
+class Limits(_Section):
+    """Limits of the body twist, and the top speed of each motor's output (after the gear), rad/s."""
+
+    velocity: Axes
+    acceleration: Axes
+    jerk: Axes
+    motor_speed: dict[Name, Positive]
+
+
+class WatchdogConfig(_Section):
+    """The controller's own command timeout, with the parameter numbers of exactly this firmware version."""
+
+    timeout: Annotated[float, Field(ge=0.01, le=1.0, description="s")]
+    firmware: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")]
+    enable_endpoint: Annotated[int, Field(ge=1, le=65535)]
+    timeout_endpoint: Annotated[int, Field(ge=1, le=65535)]
+
+
+class SpeedLoop(_Section):
+    """Host-side PI speed loop of a motor whose controller takes only torque; gains at the motor's output."""
+
+    kp: Positive  # N m per rad/s
+    ki: NonNegative  # N m per rad
+
+
+class Motor(_Section):
+    name: Name
+    driver: Annotated[str, Field(max_length=32)]
+    variant: Annotated[str, Field(max_length=32)]
+    bus: Name
+    id: Annotated[int, Field(ge=0, le=0x1FFFFFFF)]
+    gear_ratio: Annotated[float, Field(ge=0.01, le=1000.0, description="motor turns per output turn")]
+    direction: Literal[1, -1]
+    max_current: Annotated[float, Field(gt=0.0, le=500.0, description="A")]
+    max_torque: Annotated[float, Field(gt=0.0, le=5000.0, description="N m at the output")]
+    feedback_rate: Rate
+    zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
+    watchdog: WatchdogConfig | None = None
+    watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
+    speed_loop: SpeedLoop | None = None
+
+    @model_validator(mode="after")
+    def _watchdog_or_waiver(self) -> Self:
+        if (self.watchdog is None) == (self.watchdog_waiver is None):
+            message = "give either watchdog = {...} or watchdog_waiver = 'why this controller has none'"
+            raise ValueError(message)
+        return self
+
+
+class Bus(_Section):
+    name: Name
+    interface: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,32}$", description="a python-can interface")]
+    channel: Annotated[str, Field(min_length=1, max_length=64)]
+    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)]
+
+
+class Source(_Section):
+    """One commander: the highest priority that is not older than its timeout (s) drives."""
+
+    name: Name
+    priority: Annotated[int, Field(ge=0, le=255)]
+    timeout: Annotated[float, Field(ge=0.02, le=2.0)]
+
+
+class Commands(_Section):
+    source: Annotated[list[Source], Field(min_length=1, max_length=32)]
+
+
+class Zenoh(_Section):
+    """Loopback only and no scouting unless said otherwise here."""
+
+    listen: list[Annotated[str, Field(max_length=128)]] = ["tcp/127.0.0.1:7447"]
+    connect: list[Annotated[str, Field(max_length=128)]] = []
+    multicast_scouting: bool = False
+    config_file: Annotated[str, Field(max_length=256)] | None = None  # JSON5 of Zenoh itself: TLS, access control
+    odometry_rate: Rate = 50.0
+    state_rate: Rate = 10.0
+
+
+class Recording(_Section):
+    """Where sessions go and how much disk they may take; a relative directory is relative to the working one."""
+
+    enabled: bool = True
+    directory: Annotated[str, Field(min_length=1, max_length=256)] = "sessions"
+    segment_seconds: Annotated[float, Field(ge=5.0, le=3600.0)] = 300.0
+    segment_bytes: Bytes = 256_000_000
+    disk_budget: Bytes = 20_000_000_000
+    min_free: Bytes = 500_000_000
+
+
+class RobotConfig(_Section):
+    """The whole robot file."""
+
+    robot: Annotated[OmniRobot | OffsetDifferentialRobot, Field(discriminator="kind")]
+    loop: Loop = Loop()
+    limits: Limits
+    motor: Annotated[list[Motor], Field(min_length=1, max_length=32)]
+    bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
+    commands: Commands
+    zenoh: Zenoh = Zenoh()
+    recording: Recording = Recording()
+
+    @model_validator(mode="after")
+    def _names_fit_together(self) -> Self:
+        problems = [*_duplicates("motor.name", (motor.name for motor in self.motor))]
+        problems += _duplicates("bus.name", (bus.name for bus in self.bus))
+        problems += _duplicates("commands.source.name", (source.name for source in self.commands.source))
+        problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
+        problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
+        problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
+        buses = [bus.name for bus in self.bus]
+        problems += [
+            f"motor {motor.name}: bus = {motor.bus!r}: no such [[bus]]; there is {', '.join(buses)}"
+            for motor in self.motor
+            if motor.bus not in buses
+        ]
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def motors_in_order(self) -> tuple[Motor, ...]:
+        """Motors in the order of the chassis (the order of every per-wheel sequence in the core)."""
+        by_name = {motor.name: motor for motor in self.motor}
+        return tuple(by_name[name] for name in self.robot.motor_names())
+
+
+def parse(text: str, origin: str) -> RobotConfig:
+    """Robot file from its text. Raises ConfigError."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(origin, [f"not valid TOML: {error}"]) from None
+    try:
+        return RobotConfig.model_validate(document)
+    except ValidationError as error:
+        raise ConfigError(origin, [_problem(item["loc"], item["msg"], item["input"]) for item in error.errors()]) from None
+
+
+def load(path: Path) -> tuple[RobotConfig, str]:
+    """Robot file and its text. Raises ConfigError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
+    return parse(text, str(path)), text
+
+
+def _problem(location: tuple[int | str, ...], message: str, value: object) -> str:
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    shown = "" if isinstance(value, dict | list) else f" = {value!r}"
+    return f"{key or 'robot file'}{shown}: {message.removeprefix('Value error, ')}"
+
+
+def _duplicates(key: str, values: Iterable[object]) -> list[str]:
+    seen: set[object] = set()
+    doubled = {value for value in values if value in seen or seen.add(value)}  # type: ignore[func-returns-value]
+    return [f"{key} = {value!r}: given twice, must be unique" for value in sorted(doubled, key=str)]
+
+
+def _mismatch(key: str, given: Iterable[str], motors: Iterable[str]) -> list[str]:
+    names, known = list(given), set(motors)
+    problems = _duplicates(key, names)
+    problems += [f"{key}: {name!r} is no [[motor]]" for name in names if name not in known]
+    return problems + [f"{key}: motor {name!r} is not mentioned" for name in sorted(known - set(names))]

@@ -1,0 +1,240 @@
+"""The values that flow through one cycle of the core. Plain, immutable, SI; unknown is None."""
+
+from enum import Enum
+from typing import NamedTuple
+
+from drivers.interface import CanFrame
+
+
+class Twist(NamedTuple):
+    """Body velocity (a rate, not wpilib's displacement): x forward, y left, wz counter-clockwise; m/s, rad/s."""
+
+    vx: float
+    vy: float
+    wz: float
+
+
+class Pose(NamedTuple):
+    """Position of `base_link` in `odom`: m, rad (REP-103, REP-105)."""
+
+    x: float
+    y: float
+    theta: float
+
+
+ZERO_TWIST = Twist(0.0, 0.0, 0.0)
+
+
+class Mode(Enum):
+    """Operating state of the robot; the transitions are one table in `gateway.supervisor`."""
+
+    IDLE = "idle"  # motors released, waiting for a fresh zero command
+    STARTING = "starting"  # arming the motors, robot held at rest
+    DRIVE = "drive"
+    DEGRADED = "degraded"  # a motor is lost, the others still reach every direction
+    STOPPING = "stopping"  # ramping to rest
+    ESTOP = "estop"  # latched emergency stop
+    FAULT = "fault"  # a reason not to move; see Status.faults
+
+
+class TwistFrame(Enum):
+    """The frame a commanded twist is expressed in."""
+
+    BODY = "body"
+    ODOM = "odom"
+
+
+class TwistCommand(NamedTuple):
+    """A valid request from outside. `received_ns` is the arrival, from which its age counts."""
+
+    source: str
+    twist: Twist
+    frame: TwistFrame
+    sequence: int | None
+    received_ns: int
+
+
+class RefusalCode(Enum):
+    """Why a command from the wire was not taken."""
+
+    NOT_A_PUT = "not_a_put"
+    KEY_NOT_EXACT = "key_not_exact"
+    TOO_LONG = "too_long"
+    MALFORMED = "malformed"
+    NOT_FINITE = "not_finite"
+    OUT_OF_RANGE = "out_of_range"
+    WRONG_FRAME = "wrong_frame"
+    UNKNOWN_SOURCE = "unknown_source"
+    OLD_SEQUENCE = "old_sequence"
+
+
+class Refusal(NamedTuple):
+    """A command that was not taken: who (as far as known), why, and the words for a person."""
+
+    source: str
+    code: RefusalCode
+    text: str
+    received_ns: int
+
+
+class RequestKind(Enum):
+    """Requests that are not twists."""
+
+    ESTOP = "estop"
+    RESET = "reset"
+    SHUTDOWN = "shutdown"
+
+
+class Request(NamedTuple):
+    """One request; `id` ties the reply to it (0: nobody waits for a reply)."""
+
+    kind: RequestKind
+    id: int
+    received_ns: int
+
+
+class BusEventKind(Enum):
+    """What a bus edge noticed since the last cycle."""
+
+    DOWN = "down"  # cannot send or receive; interface gone, down or queue stuck
+    UP = "up"
+    TX_DROPPED = "tx_dropped"  # frames of a cycle that could not be sent in it
+    BUS_OFF = "bus_off"
+    ERROR_PASSIVE = "error_passive"
+    ERROR_ACTIVE = "error_active"
+    RESTARTED = "restarted"
+    RX_OVERFLOW = "rx_overflow"
+
+
+class BusEvent(NamedTuple):
+    """One bus event with its count and the system's own words."""
+
+    bus: str
+    kind: BusEventKind
+    count: int
+    text: str
+
+
+class Inputs(NamedTuple):
+    """Everything one step may know, and nothing else. `overruns`, `dropped_records`: totals since start."""
+
+    cycle: int
+    now_ns: int
+    frames: tuple[CanFrame, ...] = ()
+    commands: tuple[TwistCommand, ...] = ()
+    refusals: tuple[Refusal, ...] = ()
+    requests: tuple[Request, ...] = ()
+    bus_events: tuple[BusEvent, ...] = ()
+    overruns: int = 0
+    dropped_records: int = 0
+
+
+class Level(Enum):
+    """Weight of an event: warning is something a person should look at, error stopped the robot."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class Event(NamedTuple):
+    """One thing that happened, for people and programs: `code` is stable, `text` explains."""
+
+    level: Level
+    code: str
+    text: str
+
+
+class Reply(NamedTuple):
+    """Answer to the request with the same id; `reason` is None when it was granted."""
+
+    id: int
+    ok: bool
+    reason: str | None
+
+
+class Odometry(NamedTuple):
+    """Pose from measured wheel motion. `twist` None: not measurable now. `covariance`: 3x3 row-major (x, y, theta)."""
+
+    pose: Pose
+    twist: Twist | None
+    covariance: tuple[float, ...]
+    residual: float | None  # m/s; None where the wheels carry no redundancy
+
+
+class MotorStatus(NamedTuple):
+    """One motor in words and numbers, at its output (after the gear)."""
+
+    name: str
+    state: str
+    commanded: float | None  # rad/s; None: released
+    measured: float | None  # rad/s
+    torque: float | None  # N m
+    voltage: float | None
+    temperature_c: float | None
+    fault: str | None
+    age_s: float | None
+
+
+class SourceStatus(NamedTuple):
+    """One command source: its age and why it is not driving (None: it is)."""
+
+    name: str
+    age_s: float | None
+    reason: str | None
+
+
+class Status(NamedTuple):
+    """What a person or a fleet manager wants to know of the robot, at the status rate."""
+
+    mode: Mode
+    reason: str | None  # what the robot waits for, or why it does not move
+    faults: tuple[str, ...]
+    winner: str | None
+    winner_age_s: float | None
+    sources: tuple[SourceStatus, ...]
+    motors: tuple[MotorStatus, ...]
+    limits_active: tuple[str, ...]
+    standing: bool | None
+    pose: Pose
+    twist: Twist | None
+    refused: int  # commands refused since start
+    tx_dropped: int
+    overruns: int
+    dropped_records: int
+    cycle: int
+
+
+class Trace(NamedTuple):
+    """One cycle for plots; None where there was nothing to measure. Not compared by verify."""
+
+    target: Twist  # what the winner asks for, in the body frame
+    setpoint: Twist  # after limits
+    measured: Twist | None
+    pose: Pose
+    wheel_setpoints: tuple[float | None, ...]  # rad/s at the wheel; None: released
+    wheel_speeds: tuple[float | None, ...]
+    wheel_positions: tuple[float | None, ...]  # rad at the output
+    winner_age_s: float | None
+    residual: float | None
+
+
+class Outputs(NamedTuple):
+    """Everything one step says. `odometry` and `status` are present only in the cycles in which they are due."""
+
+    frames: tuple[CanFrame, ...]
+    mode: Mode
+    events: tuple[Event, ...]
+    replies: tuple[Reply, ...]
+    odometry: Odometry | None
+    status: Status | None
+    trace: Trace
+    finished: bool  # a requested shutdown has come to rest
+
+
+class CycleTiming(NamedTuple):
+    """How the loop kept time; measured by the service, recorded for people, never an input of the core."""
+
+    late_ns: int  # start of the cycle after its deadline
+    work_ns: int  # drain + step + send
+    wall_ns: int  # CLOCK_REALTIME at the start of the cycle
