@@ -122,12 +122,24 @@ class Traffic(NamedTuple):
     rate_hz: float
 
 
+class ReceiveFilter(NamedTuple):
+    """Frames whose id equals `id` where `mask` has ones; what no filter of a bus lets pass, its driver need not see."""
+
+    id: int
+    mask: int
+    extended: bool
+
+
 class DecodedFrame(NamedTuple):
-    """A frame in words: motor concerned (None: several or none), message name, fields in wire order."""
+    """A frame in words: motor concerned (None: several or none), message name, fields in wire order.
+
+    `owners` names the motor of each field of a frame that several share; None where a slot is nobody's.
+    """
 
     motor: str | None
     message: str
     fields: tuple[tuple[str, float | int], ...]
+    owners: tuple[str | None, ...] = ()
 
 
 class Driver(Protocol):
@@ -170,6 +182,10 @@ class Driver(Protocol):
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
         """Every cyclic frame of this group, both directions."""
+        ...
+
+    def receive_filters(self) -> tuple[ReceiveFilter, ...]:
+        """At least every frame that `receive` may take; the kernel keeps the rest of a busy bus away."""
         ...
 
 

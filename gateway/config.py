@@ -53,6 +53,7 @@ class Body(_Section):
     mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
     inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]
     joint_friction: NonNegative = 0.0  # N m s/rad at every driven joint
+    joint_drag: NonNegative = 0.0  # N m of dry friction and rolling resistance at every driven joint
     joint_inertia: NonNegative = 0.0  # kg m^2 of every driven joint, rotor included, at the output
 
 
@@ -146,6 +147,7 @@ class Motor(_Section):
     direction: Literal[1, -1]
     max_current: Annotated[float, Field(gt=0.0, le=500.0, description="A")]
     max_torque: Annotated[float, Field(gt=0.0, le=5000.0, description="N m at the output")]
+    max_speed: Annotated[float, Field(gt=0.0, le=5000.0, description="rad/s at the output; limit set in the device")]
     feedback_rate: Rate
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
     watchdog: WatchdogConfig | None = None
@@ -227,6 +229,11 @@ class RobotConfig(_Section):
             for motor in self.motor
             if motor.bus not in buses
         ]
+        for motor in self.motor:
+            speed = self.limits.motor_speed.get(motor.name, 0.0)
+            if speed > motor.max_speed:
+                allowed = f"allowed up to the motor's max_speed = {motor.max_speed}"
+                problems.append(f"limits.motor_speed.{motor.name} = {speed}: {allowed}")
         if problems:
             raise ValueError("; ".join(problems))
         return self
@@ -246,7 +253,9 @@ def parse(text: str, origin: str) -> RobotConfig:
     try:
         return RobotConfig.model_validate(document)
     except ValidationError as error:
-        raise ConfigError(origin, [_problem(item["loc"], item["msg"], item["input"]) for item in error.errors()]) from None
+        raise ConfigError(
+            origin, [_problem(item["loc"], item["msg"], item["input"]) for item in error.errors()]
+        ) from None
 
 
 def load(path: Path) -> tuple[RobotConfig, str]:

@@ -111,7 +111,7 @@ class BusEvent(NamedTuple):
 
     bus: str
     kind: BusEventKind
-    count: int
+    occurrences: int
     text: str
 
 

@@ -1,0 +1,74 @@
+"""The layout with which the viewer opens a session."""
+
+import rerun.blueprint as rrb
+
+from gateway.recorder_shapes import PATH, ROBOT, WORLD
+from gateway.recorder_views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL
+from gateway.session_schema import WALL
+
+EYE_HEIGHT = 3.5  # m
+PATH_SECONDS = 120.0
+
+
+def blueprint() -> rrb.Blueprint:
+    """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                _from_above(),
+                rrb.Vertical(
+                    rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]"),
+                    rrb.Tabs(
+                        rrb.TimeSeriesView(origin="/trace/twist", name="Body velocity [m/s, rad/s]"),
+                        rrb.TimeSeriesView(origin=POSE, name="Pose"),
+                        rrb.TimeSeriesView(origin=RESIDUAL, name="Slip residual"),
+                        active_tab=0,
+                    ),
+                    rrb.Tabs(
+                        rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]"),
+                        rrb.TimeSeriesView(origin=COMMAND_AGE, name="Command age"),
+                        active_tab=0,
+                    ),
+                    row_shares=[3, 3, 2],
+                ),
+                column_shares=[2, 3],
+            ),
+            rrb.Horizontal(
+                rrb.StateTimelineView(origin=MODE, name="Mode"),
+                rrb.Tabs(
+                    rrb.TextLogView(origin=EVENTS, name="Events"),
+                    rrb.DataframeView(origin="/inputs/can", name="CAN in"),
+                    rrb.DataframeView(origin="/outputs/can", name="CAN out"),
+                    rrb.TextDocumentView(origin="/config", name="Robot file"),
+                    active_tab=0,
+                ),
+                column_shares=[3, 2],
+            ),
+            row_shares=[4, 1],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=WALL),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _from_above() -> rrb.Spatial3DView:
+    """Forward is up and left is left, as in the robot's own axes; the eye goes with the robot."""
+    trail = rrb.VisibleTimeRanges(
+        timeline=WALL,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return rrb.Spatial3DView(
+        origin=WORLD,
+        name="Robot from above (x up, y left)",
+        overrides={PATH: trail},
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0xFFFFFF28),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(0.0, 0.0, EYE_HEIGHT),
+            look_target=(0.0, 0.0, 0.0),
+            eye_up=(1.0, 0.0, 0.0),
+            tracking_entity=ROBOT,
+        ),
+    )

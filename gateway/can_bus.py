@@ -1,0 +1,275 @@
+"""The CAN edge: python-can buses in, `CanFrame` and `BusEvent` out. Owned by the loop's thread; never blocks.
+
+How this works
+--------------
+A frame that cannot be sent in its cycle is dropped and counted: stale setpoints must not pile up in a queue and drive
+the robot once the cable is back. For the same reason the socket's send buffer is kept at about two cycles of frames.
+A bus that fails (interface missing, down, deleted, bus-off, queue stuck) is reported DOWN once, and UP when it works
+again: frames of a whole cycle could be sent if sending was what failed, else any frame passes. A socket of a deleted
+interface stays dead for ever and is reopened every half second, one whose interface is only down comes back by itself
+(measured). Whether the robot may move then is for the core to say. On SocketCAN the kernel lets pass only what a
+driver wants to hear, and error frames: foreign traffic costs the loop nothing.
+"""
+
+import errno
+import logging
+import socket
+import time
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import can
+
+from drivers.interface import CanFrame, ReceiveFilter
+from gateway.config import Bus, ConfigError, RobotConfig
+from gateway.exclusive import Claims, InUseError
+from gateway.robot import Group, build
+from gateway.types import BusEvent, BusEventKind
+
+logger = logging.getLogger(__name__)
+
+REOPEN_NS = 500_000_000
+STUCK_CYCLES = 25  # cycles in a row in which not every frame could be sent: nobody acknowledges
+MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel
+SEND_BUFFER = 8192  # bytes; an skb of one CAN frame counts for about 800, so this holds about ten frames
+
+# Classes and controller states of error frames; linux/can/error.h
+_CLASS_CONTROLLER, _CLASS_BUS_OFF, _CLASS_RESTARTED = 0x004, 0x040, 0x100
+_RX_OVERFLOW, _PASSIVE, _ACTIVE = 0x01, 0x30, 0x40
+
+
+class BusEdge(Protocol):
+    """What the service needs of the buses; the simulated bus answers the same calls."""
+
+    def receive(self, now_ns: int) -> tuple[list[CanFrame], list[BusEvent]]:
+        """Frames and events since the last call."""
+        ...
+
+    def send(self, frames: Sequence[CanFrame], now_ns: int) -> None:
+        """Send now or drop; failures are events of the next `receive`."""
+        ...
+
+    def close(self) -> None:
+        """Release every bus."""
+        ...
+
+
+class CanBuses:
+    """All buses of the robot file. One that cannot be opened yet is DOWN and tried again.
+
+    Raises InUseError if another process commands the same motors, before anything is sent or opened; later, in
+    `receive`, ConfigError for an interface that python-can does not know.
+    """
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._channels: dict[str, _Channel] = {}
+        groups = build(config).groups
+        try:
+            for bus in config.bus:
+                self._channels[bus.name] = _Channel(bus, [group for group in groups if group.bus == bus.name])
+        except InUseError:
+            self.close()
+            raise
+
+    def receive(self, now_ns: int) -> tuple[list[CanFrame], list[BusEvent]]:
+        """Frames and events of every bus since the last call."""
+        frames: list[CanFrame] = []
+        events: list[BusEvent] = []
+        for channel in self._channels.values():
+            channel.drain(frames, now_ns)
+            events += channel.take_events()
+        return frames, events
+
+    def send(self, frames: Sequence[CanFrame], now_ns: int) -> None:
+        """Send each frame now or drop it."""
+        if len(self._channels) == 1:
+            for channel in self._channels.values():
+                channel.send(frames, now_ns)
+            return
+        for name, channel in self._channels.items():
+            channel.send([frame for frame in frames if frame.bus == name], now_ns)
+
+    def close(self) -> None:
+        """Close every bus and let others command its motors."""
+        for channel in self._channels.values():
+            channel.close()
+            channel.claims.release()
+
+
+class _Channel:
+    """One python-can bus with its failures."""
+
+    def __init__(self, config: Bus, groups: Sequence[Group]) -> None:
+        commanded = {frame.id for group in groups for frame in group.driver.coast_frames()}
+        self.claims = Claims(config.interface, config.channel, commanded)
+        self._config = config
+        self._filters = [wanted for group in groups for wanted in group.driver.receive_filters()]
+        self._bus: can.BusABC | None = None
+        self._events: list[BusEvent] = []
+        self._down = False
+        self._bus_off = False
+        self._unsent = False  # frames were dropped and no whole cycle of them could be sent since
+        self._retry_ns = 0
+        self._stuck = 0
+        self._stamp_ns = 0
+
+    def _open(self) -> None:
+        """Open the interface; bit rate matters only where python-can sets it (not on socketcan)."""
+        if self._config.interface == "socketcan":
+            socket.if_nametoindex(self._config.channel)  # python-can would leak its socket on a missing interface
+        bus = can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
+        raw = getattr(bus, "socket", None)
+        if isinstance(raw, socket.socket):
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        if self._config.interface == "socketcan":  # elsewhere python-can filters in Python, and error frames away
+            bus.set_filters([_can_filter(wanted) for wanted in self._filters])
+        self._bus = bus
+
+    def close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except (OSError, can.CanError) as error:
+                logger.debug("closing %s: %s", self._config.name, error)
+
+    def take_events(self) -> list[BusEvent]:
+        events, self._events = self._events, []
+        return events
+
+    def drain(self, frames: list[CanFrame], now_ns: int) -> None:
+        """Append what arrived, oldest first, with the kernel's stamp converted to the loop's clock."""
+        if self._bus is None and not self._reopen(now_ns):
+            return
+        offset_ns = time.clock_gettime_ns(time.CLOCK_REALTIME) - time.monotonic_ns()
+        try:
+            for _ in range(MAX_FRAMES_PER_DRAIN):
+                message = self._bus.recv(0) if self._bus else None
+                if message is None:
+                    return
+                if message.is_error_frame:
+                    self._error_frame(message)
+                    continue
+                self._bus_off = self._bus_off and not message.is_rx  # a controller that is bus-off hears nobody
+                self._works()
+                stamp_ns = round(message.timestamp * 1e9) - offset_ns
+                self._stamp_ns = stamp_ns = max(self._stamp_ns, min(stamp_ns, now_ns))
+                frames.append(
+                    CanFrame(
+                        self._config.name,
+                        message.arbitration_id,
+                        bytes(message.data),
+                        message.is_extended_id,
+                        message.is_remote_frame,
+                        stamp_ns,
+                    )
+                )
+        except (OSError, can.CanError) as error:
+            self._fail("receive", error, now_ns)
+
+    def send(self, frames: Iterable[CanFrame], now_ns: int) -> None:
+        """Send in order; after the first failure the rest of the cycle is dropped."""
+        bus, pending = self._bus, list(frames)
+        if not pending:
+            return
+        if bus is None:
+            self._unsent = True
+            self._event(BusEventKind.TX_DROPPED, "bus is down", len(pending))
+            return
+        for index, frame in enumerate(pending):
+            try:
+                bus.send(_message(frame), timeout=0)
+            except (OSError, can.CanError) as error:
+                self._dropped(error, len(pending) - index, now_ns)
+                return
+        self._stuck = 0
+        self._unsent = False
+        self._works()
+
+    def _dropped(self, error: Exception, number: int, now_ns: int) -> None:
+        self._event(BusEventKind.TX_DROPPED, f"not sent: {error}", number)
+        self._unsent = True
+        self._stuck += 1
+        if not _is_full(error):
+            self._fail("send", error, now_ns)
+        elif self._stuck >= STUCK_CYCLES:
+            self._mark_down(f"send queue full for {STUCK_CYCLES} cycles: nobody acknowledges")
+
+    def _fail(self, action: str, error: Exception, now_ns: int) -> None:
+        self._bus_off = False
+        if _errno(error) != errno.ENETDOWN:
+            self.close()
+            self._retry_ns = now_ns + REOPEN_NS
+        self._mark_down(f"{action}: {error}")
+
+    def _reopen(self, now_ns: int) -> bool:
+        if now_ns < self._retry_ns:
+            return False
+        self._retry_ns = now_ns + REOPEN_NS
+        try:
+            self._open()
+        except can.CanInterfaceNotImplementedError as error:
+            raise ConfigError("robot file", [f"bus {self._config.name}: interface: {error}"]) from None
+        except (OSError, can.CanError) as error:
+            self._mark_down(f"{self._config.interface} {self._config.channel} cannot be opened: {error}")
+            return False
+        return True
+
+    def _error_frame(self, message: can.Message) -> None:
+        classes = message.arbitration_id
+        if classes & _CLASS_BUS_OFF:
+            self._event(BusEventKind.BUS_OFF, "controller is bus-off: short circuit or wrong bit rate")
+            self._bus_off = True
+            self._mark_down("controller is bus-off")
+        if classes & _CLASS_RESTARTED:
+            self._event(BusEventKind.RESTARTED, "controller restarted")
+            self._bus_off = False
+        state = message.data[1] if classes & _CLASS_CONTROLLER and len(message.data) > 1 else 0
+        if state & _PASSIVE:
+            self._event(
+                BusEventKind.ERROR_PASSIVE, "controller is error-passive: nobody acknowledges, cable or bit rate"
+            )
+        if state & _ACTIVE:
+            self._event(BusEventKind.ERROR_ACTIVE, "controller is error-active again")
+            self._bus_off = False
+        if state & _RX_OVERFLOW:
+            self._event(BusEventKind.RX_OVERFLOW, "receive buffer of the controller overflowed")
+
+    def _mark_down(self, reason: str) -> None:
+        if not self._down:
+            self._down = True
+            self._event(BusEventKind.DOWN, reason)
+
+    def _works(self) -> None:
+        """A frame has passed; while the controller is bus-off that is only the kernel's queue taking it."""
+        if self._down and not self._bus_off and not self._unsent:
+            self._down = False
+            self._event(BusEventKind.UP, "works again")
+
+    def _event(self, kind: BusEventKind, text: str, occurrences: int = 1) -> None:
+        """Note it; a shower of equal error frames becomes one event with a count."""
+        event = BusEvent(self._config.name, kind, occurrences, text)
+        if self._events and self._events[-1][::3] == event[::3] and self._events[-1].kind is kind:
+            event = event._replace(occurrences=self._events.pop().occurrences + occurrences)
+        self._events.append(event)
+
+
+def _message(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote
+    )
+
+
+def _can_filter(wanted: ReceiveFilter) -> can.typechecking.CanFilter:
+    return {"can_id": wanted.id, "can_mask": wanted.mask, "extended": wanted.extended}
+
+
+def _is_full(error: Exception) -> bool:
+    """A full queue passes; python-can does not always keep the errno, so its words are asked too (python-can #2005)."""
+    return _errno(error) in (errno.ENOBUFS, errno.EAGAIN) or "buffer full" in str(error).lower()
+
+
+def _errno(error: Exception) -> int | None:
+    """A CanOperationError carries it as error_code, an OSError as errno."""
+    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    return number if isinstance(number, int) else None

@@ -1,0 +1,59 @@
+"""`drivegate check`: what follows from a robot file, without touching any bus."""
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from gateway import robot_files
+from gateway.check import LOAD_WARNING, Report, examine
+from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
+from gateway.config import ConfigError, load
+
+
+def check(
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+) -> None:
+    """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with."""
+    try:
+        path = robot_files.find(file)
+        report = examine(load(path)[0], str(path))
+    except ConfigError as error:
+        if json:
+            print_json({"valid": False, "problems": list(error.problems)})
+        else:
+            complain(str(error))
+        raise typer.Exit(EXIT_CONFIG) from None
+    if json:
+        print_json(_document(report))
+    else:
+        _show(report)
+
+
+def _document(report: Report) -> dict[str, object]:
+    return {
+        "valid": True,
+        **report._asdict(),
+        "top_speeds": report.top_speeds._asdict(),
+        "reachable": report.reachable._asdict(),
+        "buses": [bus._asdict() for bus in report.buses],
+    }
+
+
+def _show(report: Report) -> None:
+    table = Table("what", "value", title=f"{report.robot} ({report.kind}, {report.motors} motors)")
+    table.add_row("wheel matrix", f"rank {report.rank}, condition {report.condition:.3g}")
+    for axis, unit in (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s")):
+        possible, used = getattr(report.top_speeds, axis), getattr(report.reachable, axis)
+        table.add_row(f"top speed {axis}", f"{used:.3g} {unit} (motors alone: {possible:.3g})")
+    for bus in report.buses:
+        style = "yellow" if bus.load > LOAD_WARNING else "green"
+        text = f"[{style}]{bus.load:.1%}[/] worst case at {report.rate_hz:g} Hz, {bus.frames_per_second:.0f} frames/s"
+        table.add_row(f"load of {bus.bus}", text)
+    if report.compensation_period_limit_s is not None:
+        rate = 1.0 / report.compensation_period_limit_s
+        table.add_row("compensation", f"stable at top speed above {rate:.1f} Hz")
+    console.print(table)
+    for warning in report.warnings:
+        console.print(f"[yellow]warning[/] {warning}", highlight=False)

@@ -1,0 +1,23 @@
+"""How the commands speak: tables and progress for people, one JSON line for programs."""
+
+import json
+import sys
+from collections.abc import Mapping
+
+from rich.console import Console
+
+EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd must not restart into it
+
+console = Console()
+errors = Console(stderr=True, soft_wrap=True)
+
+
+def complain(text: str) -> None:
+    """One error, on standard error."""
+    errors.print(text, style="red", markup=False, highlight=False)
+
+
+def print_json(document: Mapping[str, object]) -> None:
+    """The last line of standard output of a command called with --json."""
+    sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+    sys.stdout.flush()

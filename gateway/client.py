@@ -1,0 +1,219 @@
+"""A typed client of one robot, for the CLI, for demos and for tests. Keys and payloads: `gateway.messages`.
+
+    with Client("moby") as client:
+        client.wait_alive(5.0)
+        client.send_twist(0.2, 0.0, 0.0, source="joy")
+
+It may be opened before the gateway: the connection is retried until it stands, and again after it breaks.
+"""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from threading import Condition
+from types import TracebackType
+from typing import Self, TypeVar
+
+import zenoh
+
+from gateway import messages
+from gateway.config import NAME_PATTERN
+from gateway.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.types import ZERO_TWIST, Twist, TwistFrame
+from gateway.zenoh_session import LinkError, Receivers, open_session
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
+MAX_EVENTS = 1024  # kept for `events`; the oldest are dropped
+
+_T = TypeVar("_T")
+
+
+class Client:
+    """One commander or onlooker; each source is commanded from one thread. Raises LinkError for a wrong endpoint."""
+
+    def __init__(
+        self,
+        robot: str,
+        *,
+        connect: Sequence[str] = (DEFAULT_ENDPOINT,),
+        config_file: str | None = None,
+        zero_on_exit: bool = False,
+    ) -> None:
+        self._robot = _checked(robot)
+        self._zero_on_exit = zero_on_exit
+        self._changed = Condition()
+        self._alive = False
+        self._odometry: OdometryMessage | None = None
+        self._state: StateMessage | None = None
+        self._truth: TruthMessage | None = None
+        self._events: deque[EventMessage] = deque(maxlen=MAX_EVENTS)
+        self._commanders: dict[str, zenoh.Publisher] = {}
+        # Larger than that of a former client on this machine, whose numbers would make ours look old.
+        self._sequence = time.monotonic_ns() // 1000
+        self._session = open_session(
+            listen=[], connect=connect, max_message_size=MAX_MESSAGE_SIZE, config_file=config_file
+        )
+        self._stop_publisher = self._publisher("cmd/stop", zenoh.CongestionControl.BLOCK)
+        self._receivers = Receivers(self._session)
+        self._subscribe("odometry", messages.decode_odometry, self._keep_odometry)
+        self._subscribe("state", messages.decode_state, self._keep_state)
+        self._subscribe("truth", messages.decode_truth, self._keep_truth)
+        self._subscribe("event", messages.decode_event, self._events.append, ring=MAX_EVENTS)
+        self._receivers.watch(self._key("alive"), lambda sample: self._set_alive(sample.kind == zenoh.SampleKind.PUT))
+
+    def send_twist(
+        self,
+        vx: float,
+        vy: float,
+        wz: float,
+        *,
+        source: str,
+        frame: TwistFrame | None = None,
+        sequence: int | None = None,
+    ) -> None:
+        """Puts one command; without `sequence` the client counts itself."""
+        self._sequence = self._sequence + 1 if sequence is None else sequence
+        payload = messages.encode_twist(Twist(vx, vy, wz), frame=frame, sequence=self._sequence)
+        self._commander(source).put(payload)
+
+    def stop(self, timeout: float = 2.0) -> bool:
+        """Latched emergency stop, at once and again when the robot appears; False: no robot was there to hear it."""
+        self._stop_publisher.put(b"stop")
+        if not self.alive and self.wait_alive(timeout):
+            self._stop_publisher.put(b"stop")
+        return self.alive
+
+    def reset(self, timeout: float = 2.0) -> ResetAnswer:
+        """Asks to release the emergency stop or to clear a fault."""
+        payload = self._get("cmd/reset", timeout)
+        answer = None if payload is None else messages.decode_reply(payload)
+        return answer or ResetAnswer(False, f"no answer from {self._robot} within {timeout:g} s")
+
+    def status(self, timeout: float = 2.0) -> StateMessage | None:
+        """The newest state, asked for; None: no answer."""
+        payload = self._get("status", timeout)
+        return None if payload is None else messages.decode_state(payload)
+
+    def config_text(self, timeout: float = 2.0) -> str | None:
+        """The robot file of the running gateway; None: no answer."""
+        payload = self._get("config", timeout)
+        return None if payload is None else payload.decode(errors="replace")
+
+    @property
+    def alive(self) -> bool:
+        """The gateway's liveliness token is there."""
+        return self._alive
+
+    def odometry(self) -> OdometryMessage | None:
+        """The newest received odometry."""
+        return self._odometry
+
+    def state(self) -> StateMessage | None:
+        """The newest received state."""
+        return self._state
+
+    def truth(self) -> TruthMessage | None:
+        """Where a simulated robot really is; None for a real one."""
+        return self._truth
+
+    def events(self) -> list[EventMessage]:
+        """Events since the last call."""
+        return [self._events.popleft() for _ in range(len(self._events))]
+
+    def wait_alive(self, timeout: float) -> bool:
+        """Waits for the gateway; False when it did not come."""
+        return self._wait(lambda: self._alive, timeout)
+
+    def wait_for_state(self, predicate: Callable[[StateMessage], bool], timeout: float) -> StateMessage | None:
+        """The first received state that satisfies the predicate; None when none came in time."""
+        found: list[StateMessage] = []
+
+        def satisfied() -> bool:
+            if self._state is not None and predicate(self._state):
+                found.append(self._state)
+            return bool(found)
+
+        return found[0] if self._wait(satisfied, timeout) else None
+
+    def close(self) -> None:
+        """Zeroes its sources if so asked, and leaves the network."""
+        if self._session.is_closed():
+            return
+        for source in self._commanders if self._zero_on_exit else ():
+            self.send_twist(*ZERO_TWIST, source=source)
+        self._receivers.close()
+        self._set_alive(False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _key(self, rest: str) -> str:
+        return f"{self._robot}/{rest}"
+
+    def _publisher(self, rest: str, congestion: zenoh.CongestionControl) -> zenoh.Publisher:
+        return self._session.declare_publisher(
+            self._key(rest), congestion_control=congestion, priority=zenoh.Priority.REAL_TIME, express=True
+        )
+
+    def _commander(self, source: str) -> zenoh.Publisher:
+        if source not in self._commanders:
+            key = f"cmd/twist/{_checked(source)}"
+            self._commanders[source] = self._publisher(key, zenoh.CongestionControl.DROP)
+        return self._commanders[source]
+
+    def _get(self, rest: str, timeout: float) -> bytes | None:
+        deadline = time.monotonic() + timeout
+        if not self.wait_alive(timeout):
+            return None
+        left = max(deadline - time.monotonic(), 0.001)
+        for reply in self._session.get(self._key(rest), timeout=left):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        return None
+
+    def _wait(self, satisfied: Callable[[], bool], timeout: float) -> bool:
+        with self._changed:
+            return self._changed.wait_for(satisfied, timeout)
+
+    def _subscribe(
+        self, rest: str, decode: Callable[[bytes], _T | None], keep: Callable[[_T], None], *, ring: int = 1
+    ) -> None:
+        key = self._key(rest)
+
+        def receive(sample: zenoh.Sample) -> None:
+            exact = str(sample.key_expr) == key  # a put on `**` arrives here too
+            message = decode(sample.payload.to_bytes()) if exact else None
+            if message is not None:
+                with self._changed:
+                    keep(message)
+                    self._changed.notify_all()
+
+        self._receivers.subscribe(key, receive, ring=ring)
+
+    def _keep_odometry(self, message: OdometryMessage) -> None:
+        self._odometry = message
+
+    def _keep_state(self, message: StateMessage) -> None:
+        self._state = message
+
+    def _keep_truth(self, message: TruthMessage) -> None:
+        self._truth = message
+
+    def _set_alive(self, alive: bool) -> None:
+        with self._changed:
+            self._alive = alive
+            self._changed.notify_all()
+
+
+def _checked(name: str) -> str:
+    """A name as one chunk of a key; anything else might address other robots or sources."""
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise LinkError(f"name = {name!r}: must match {NAME_PATTERN}")
+    return name

@@ -1,0 +1,30 @@
+"""Motor shaft <-> output: the one place where gear ratio, mounting direction and joint zero are applied."""
+
+from typing import NamedTuple
+
+
+class Transmission(NamedTuple):
+    """`ratio` is motor turns per output turn, signed by the mounting direction; `zero` is at the output, rad."""
+
+    ratio: float
+    zero: float
+
+    def motor_speed(self, output_speed: float) -> float:
+        """Rad/s at the shaft."""
+        return output_speed * self.ratio
+
+    def motor_torque(self, output_torque: float) -> float:
+        """N m at the shaft, for an ideal gear."""
+        return output_torque / self.ratio
+
+    def output_speed(self, motor_speed: float | None) -> float | None:
+        """Rad/s at the output."""
+        return None if motor_speed is None else motor_speed / self.ratio
+
+    def output_torque(self, motor_torque: float | None) -> float | None:
+        """N m at the output, for an ideal gear."""
+        return None if motor_torque is None else motor_torque * self.ratio
+
+    def output_position(self, motor_position: float | None) -> float | None:
+        """Rad at the output, from its zero."""
+        return None if motor_position is None else motor_position / self.ratio - self.zero

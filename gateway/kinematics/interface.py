@@ -1,0 +1,60 @@
+"""What every chassis answers: one small protocol, both directions from the same rows."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from gateway.types import Twist
+
+Matrix = npt.NDArray[np.float64]
+MAX_CONDITION = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
+
+
+class GeometryError(ValueError):
+    """A geometry that cannot be driven: singular, or too few distinct wheel directions."""
+
+
+class Estimate(NamedTuple):
+    """Body rate (or, from wheel displacements, body displacement) that fits measured wheels best.
+
+    `residual` is the rim speed (m/s) that no rigid motion explains; None where the wheels carry no redundancy.
+    """
+
+    twist: Twist
+    residual: float | None
+
+
+class Kinematics(Protocol):
+    """Geometry chassis <-> wheels. Per-wheel sequences are in the order of the robot file.
+
+    `positions` are the output angles (rad) of all motors; `steered` are the places of those the geometry depends on.
+    """
+
+    steered: tuple[int, ...]
+
+    def wheel_speeds(self, twist: Twist, positions: Sequence[float | None]) -> list[float] | None:
+        """Inverse kinematics: rad/s of every motor's output; None while a joint angle it needs is unknown."""
+        ...
+
+    def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None]) -> Estimate | None:
+        """Forward kinematics from the wheels that were measured (others None); None when they do not determine it."""
+        ...
+
+    def drivable(self, usable: Sequence[bool]) -> bool:
+        """Whether the usable motors alone still reach every direction."""
+        ...
+
+    def matrix(self) -> Matrix:
+        """Wheel matrix (n x 3, rad/s per m/s and rad/s) at joint angle zero, for inspection."""
+        ...
+
+
+def desaturate(speeds: Sequence[float], limits: Sequence[float]) -> float:
+    """Largest factor <= 1 that brings every wheel within its limit; scaling all keeps the direction of motion."""
+    factor = 1.0
+    for speed, limit in zip(speeds, limits, strict=True):
+        if abs(speed) * factor > limit:
+            factor = limit / abs(speed)
+    return factor

@@ -1,0 +1,263 @@
+"""Payloads on the wire: JSON in UTF-8, SI units, null where unknown. Keys start with the robot's name.
+
+| key                  | verb       | payload                                                                        |
+|----------------------|------------|--------------------------------------------------------------------------------|
+| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz", "frame": "body" or "odom" (optional), "seq": n (optional)}` |
+| `cmd/stop`           | put        | anything: the latched emergency stop                                           |
+| `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
+| `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
+| `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
+| `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
+| `truth`              | subscribe  | `{"t", "x", "y", "theta"}`; only from a simulated robot                        |
+| `status`             | get        | the newest `state`                                                             |
+| `config`             | get        | the robot file as it was read (TOML)                                           |
+| `alive`              | liveliness | there while the gateway runs                                                   |
+
+A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
+MAX_PAYLOAD bytes. `seq` grows by any step from one command to the next. `t` is CLOCK_MONOTONIC of the cycle, seconds.
+"""
+
+import json
+from collections.abc import Mapping
+from enum import Enum
+from typing import Annotated, Literal, NamedTuple, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import from_json, to_json
+
+from gateway.types import (
+    Event,
+    Level,
+    Odometry,
+    Pose,
+    Refusal,
+    RefusalCode,
+    Reply,
+    Status,
+    Twist,
+    TwistCommand,
+    TwistFrame,
+)
+
+MAX_PAYLOAD = 1024  # bytes; a full twist is below 200
+MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong unit
+MAX_TURN = 50.0  # rad/s: likewise
+MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
+MAX_SHOWN = 40  # characters of a stranger's value in a message
+
+_ALLOWED = {
+    "vx": f"a number from {-MAX_SPEED:g} to {MAX_SPEED:g} m/s",
+    "vy": f"a number from {-MAX_SPEED:g} to {MAX_SPEED:g} m/s",
+    "wz": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "frame": "'body' or 'odom'",
+    "seq": "a whole number from 0 to 2^63-1",
+}
+_CODES = {
+    "finite_number": RefusalCode.NOT_FINITE,
+    "greater_than_equal": RefusalCode.OUT_OF_RANGE,
+    "less_than_equal": RefusalCode.OUT_OF_RANGE,
+}
+_T = TypeVar("_T")
+
+
+class _TwistPayload(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    vx: Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED)]
+    vy: Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED)]
+    wz: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
+    frame: Literal["body", "odom"] = "body"
+    seq: Annotated[int, Field(ge=0, le=MAX_SEQUENCE)] | None = None
+
+
+class OdometryMessage(NamedTuple):
+    """Odometry as it travels; see the table above."""
+
+    t: float
+    x: float
+    y: float
+    theta: float
+    vx: float | None
+    vy: float | None
+    wz: float | None
+    covariance: tuple[float, ...]
+    residual: float | None
+
+
+class StateMessage(NamedTuple):
+    """Status with its time and what the service adds (such as the health of the recording)."""
+
+    t: float
+    status: Status
+    extras: dict[str, object]
+
+
+class EventMessage(NamedTuple):
+    """One event with the time of its cycle."""
+
+    t: float
+    level: Level
+    code: str
+    text: str
+
+
+class TruthMessage(NamedTuple):
+    """Where a simulated robot really is."""
+
+    t: float
+    x: float
+    y: float
+    theta: float
+
+
+class ResetAnswer(NamedTuple):
+    """Whether the robot was reset, and if not, why."""
+
+    ok: bool
+    reason: str | None
+
+
+_ODOMETRY = TypeAdapter(OdometryMessage)
+_STATE = TypeAdapter(StateMessage)
+_EVENT = TypeAdapter(EventMessage)
+_TRUTH = TypeAdapter(TruthMessage)
+_RESET = TypeAdapter(ResetAnswer)
+
+
+def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistCommand | Refusal:
+    """The command in the payload, or why there is none. Total: no payload raises."""
+
+    def refusal(code: RefusalCode, text: str) -> Refusal:
+        return Refusal(source, code, text, received_ns)
+
+    if len(payload) > MAX_PAYLOAD:
+        return refusal(RefusalCode.TOO_LONG, f"payload of {len(payload)} bytes: must be at most {MAX_PAYLOAD} bytes")
+    try:
+        parsed = _TwistPayload.model_validate(_document(payload))
+    except ValidationError as error:
+        return refusal(*_reason(error))
+    except (ValueError, RecursionError) as error:
+        return refusal(RefusalCode.MALFORMED, f"payload: must be a JSON object in UTF-8: {str(error)[:80]}")
+    twist = Twist(parsed.vx, parsed.vy, parsed.wz)
+    return TwistCommand(source, twist, TwistFrame(parsed.frame), parsed.seq, received_ns)
+
+
+def encode_twist(twist: Twist, *, frame: TwistFrame | None = None, sequence: int | None = None) -> bytes:
+    """What a commander puts on `cmd/twist/<source>`."""
+    optional = {"frame": frame, "seq": sequence}
+    return _json(twist._asdict() | {key: value for key, value in optional.items() if value is not None})
+
+
+def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
+    """Payload of `odometry`."""
+    twist = odometry.twist._asdict() if odometry.twist else dict.fromkeys(Twist._fields)
+    rest = {"covariance": odometry.covariance, "residual": odometry.residual}
+    return _json({"t": now_ns / 1e9} | odometry.pose._asdict() | twist | rest)
+
+
+def encode_state(status: Status, now_ns: int, extras: Mapping[str, object]) -> bytes:
+    """Payload of `state` and answer of `status`."""
+    return _json({"t": now_ns / 1e9} | status._asdict() | {"extras": dict(extras)})
+
+
+def encode_event(event: Event, now_ns: int) -> bytes:
+    """Payload of `event`."""
+    return _json(EventMessage(now_ns / 1e9, *event))
+
+
+def encode_truth(pose: Pose, t: float) -> bytes:
+    """Payload of `truth`."""
+    return _json(TruthMessage(t, *pose))
+
+
+def encode_reply(reply: Reply) -> bytes:
+    """Answer of `cmd/reset`."""
+    return _json(ResetAnswer(reply.ok, reply.reason))
+
+
+def decode_odometry(payload: bytes) -> OdometryMessage | None:
+    """The odometry in a payload; None if it is none. So for the other decoders."""
+    return _decoded(_ODOMETRY, payload)
+
+
+def decode_state(payload: bytes) -> StateMessage | None:
+    """Inverse of `encode_state`."""
+    try:
+        document = from_json(payload)
+        t, extras = document.pop("t"), document.pop("extras")
+        return _STATE.validate_python({"t": t, "status": document, "extras": extras})
+    except (ValueError, KeyError, AttributeError, TypeError):  # no JSON, no such keys, no object
+        return None
+
+
+def decode_event(payload: bytes) -> EventMessage | None:
+    """Inverse of `encode_event`."""
+    return _decoded(_EVENT, payload)
+
+
+def decode_truth(payload: bytes) -> TruthMessage | None:
+    """Inverse of `encode_truth`."""
+    return _decoded(_TRUTH, payload)
+
+
+def decode_reply(payload: bytes) -> ResetAnswer | None:
+    """Inverse of `encode_reply`."""
+    return _decoded(_RESET, payload)
+
+
+def _document(payload: bytes) -> object:
+    document: object = json.loads(payload.decode(), object_pairs_hook=_unique)
+    return document
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a key is given twice")
+    return document
+
+
+def _reason(error: ValidationError) -> tuple[RefusalCode, str]:
+    first = error.errors(include_url=False, include_context=False)[0]
+    key = str(first["loc"][0]) if first["loc"] else ""
+    if key not in _ALLOWED:
+        what = f"unknown key {_shown(key)}" if key else "payload"
+        return RefusalCode.MALFORMED, f"{what}: must be a JSON object of {', '.join(_ALLOWED)}"
+    if first["type"] == "missing":
+        return RefusalCode.MALFORMED, f"{key} is missing: must be {_ALLOWED[key]}"
+    code = RefusalCode.WRONG_FRAME if key == "frame" else _CODES.get(first["type"], RefusalCode.MALFORMED)
+    return code, f"{key} = {_shown(first['input'])}: must be {_ALLOWED[key]}"
+
+
+def _shown(value: object) -> str:
+    """A stranger's value, short and in ASCII; containers only by their kind, because they may be deeply nested."""
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else "a list"
+    text = ascii(value)
+    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "..."
+
+
+def _json(document: object) -> bytes:
+    return to_json(_plain(document), inf_nan_mode="null", fallback=str)
+
+
+def _plain(value: object) -> object:
+    """Named tuples as objects, enums as their words; text that is no Unicode (file names) with replacements."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode(errors="replace").decode()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _decoded(adapter: TypeAdapter[_T], payload: bytes) -> _T | None:
+    try:
+        return adapter.validate_json(payload)
+    except ValidationError:
+        return None

@@ -1,0 +1,101 @@
+"""One segment of a session: a Rerun file with its own header and footer. Nothing else writes to Rerun."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import rerun as rr
+import rerun.blueprint as rrb
+
+from gateway.record import Gap, Record
+from gateway.recorder_columns import Block, Times, arrays
+from gateway.recorder_views import Views
+from gateway.session_schema import (
+    APPLICATION_ID,
+    BATCH,
+    CYCLE,
+    GAP_ARCHETYPE,
+    GAP_COLUMNS,
+    GAP_PATH,
+    HEADER_ARCHETYPE,
+    HEADER_COLUMNS,
+    HEADER_PATH,
+    Header,
+)
+
+FLUSH_TIMEOUT_S = 3.0
+
+
+class WriterDeadError(RuntimeError):
+    """Rerun's writing thread has ended (disk full, read-only, broken).
+
+    Such a stream may block for ever in any further call (measured with 0.41), so whoever catches this leaves the
+    process without touching it again.
+    """
+
+
+class RecordingOffError(RuntimeError):
+    """Rerun was switched off from outside, by RERUN=off in the environment."""
+
+
+class Segment:
+    """Opened on construction, header first. Raises RecordingOffError, OSError."""
+
+    def __init__(self, path: Path, *, header: Header, views: Views, blueprint: rrb.Blueprint) -> None:
+        self.path = path
+        self._views = views
+        self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=header.session, send_properties=False)
+        if not rr.is_enabled(recording=self._recording):
+            raise RecordingOffError("Rerun is switched off (RERUN=off in the environment): nothing can be recorded")
+        try:
+            self._recording.save(path, default_blueprint=blueprint)
+        except RuntimeError as error:
+            raise OSError(str(error)) from None
+        self._send_header(header)
+        views.begin(self._recording)
+        self.flush()
+
+    def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
+        """Write a batch, whole or, when a value does not fit its column, not at all (OverflowError, ...)."""
+        if records:
+            self._write_records(records)
+        if gaps:
+            self._send_gaps(gaps)
+
+    def _write_records(self, records: Sequence[Record]) -> None:
+        times = Times(records)
+        blocks = [Block(entity, records) for entity in BATCH]
+        self._views.send(self._recording, records, times)
+        for block in blocks:
+            block.send(self._recording, times)
+
+    def flush(self) -> None:
+        """Hand everything to the kernel. Raises WriterDeadError."""
+        try:
+            self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except RuntimeError as error:
+            raise WriterDeadError(str(error)) from None
+
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self.path.stat().st_size
+
+    def close(self) -> None:
+        """Write the footer. Raises WriterDeadError."""
+        self.flush()
+        self._recording.disconnect()
+
+    def _send_header(self, header: Header) -> None:
+        row = (header.schema_version, msgspec.json.encode(header).decode())
+        self._recording.send_recording_name(header.session)
+        self._recording.send_recording_start_time_nanos(header.started_wall_ns)
+        columns = arrays(HEADER_COLUMNS, [row])
+        self._recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
+        text = f"```toml\n{header.config_text}\n```"
+        self._recording.log("/config", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+    def _send_gaps(self, gaps: Sequence[Gap]) -> None:
+        rows = [(gap.first_cycle, gap.last_cycle, gap.reason) for gap in gaps]
+        columns = rr.DynamicArchetype.columns(archetype=GAP_ARCHETYPE, components=arrays(GAP_COLUMNS, rows))
+        when = rr.TimeColumn(CYCLE, sequence=[gap.first_cycle for gap in gaps])
+        self._recording.send_columns(GAP_PATH, [when], columns)

@@ -1,0 +1,53 @@
+"""One ODrive axis on a bench, and the frames of its bring-up as text (node 3)."""
+
+from drivers.interface import CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from drivers.odrive import OdriveDriver
+from tests.drivers.rig import BUS, WATCHDOG, Bench, FakeOdrive, can_text, odrive_setpoints, spec
+
+VELOCITY = MotorCommand(CommandKind.VELOCITY, 10.0)
+TORQUE = MotorCommand(CommandKind.TORQUE, 0.5)
+ZERO = "06D#0000000000000000"
+
+VERSION = "060#R"
+WRITES = ["064#01BD0000CDCCCC3D", "064#01BC000001000000"]
+READS = ["064#00BD000000000000", "064#00BC000000000000"]
+CLEAR_06, CLEAR_05 = "078#00", "078#"
+VELOCITY_MODE, TORQUE_MODE = "06B#0200000001000000", "06B#0100000001000000"
+LIMITS = "06F#DDA57E410000A041"  # 100 rad/s = 15.915 rev/s, 20 A
+ARM, IDLE = "067#0800000000000000", "067#0100000000000000"
+
+
+def stand_of(variant: str = "0.6", *, watched: bool = True) -> tuple[Bench, FakeOdrive]:
+    watchdog = WATCHDOG if watched and variant == "0.6" else None
+    device = FakeOdrive(3, variant)
+    return Bench(OdriveDriver(BUS, [spec(variant, watchdog=watchdog)]), [device]), device
+
+
+def operational(variant: str = "0.6", *, command: MotorCommand = VELOCITY) -> tuple[Bench, FakeOdrive]:
+    stand, device = stand_of(variant)
+    stand.run(command, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+    stand.sent.clear()
+    return stand, device
+
+
+def only(stand: Bench) -> MotorFeedback:
+    (feedback,) = stand.feedback()
+    return feedback
+
+
+def story(stand: Bench) -> list[str]:
+    """Everything sent but setpoints."""
+    return [can_text(frame) for _, frame in stand.sent if not odrive_setpoints(frame)]
+
+
+def fault(stand: Bench) -> tuple[str, str]:
+    """Code and text of the latched fault."""
+    given = only(stand).fault
+    assert given is not None
+    assert given.latched
+    return given.code, given.text
+
+
+def feed(stand: Bench, frame: CanFrame) -> None:
+    assert stand.driver.receive(frame._replace(received_ns=stand.now_ns))

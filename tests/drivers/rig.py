@@ -1,0 +1,247 @@
+"""What the driver tests share: motor specs, frames as text, and the smallest fake devices that answer by the book."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from struct import Struct, pack, unpack, unpack_from
+from typing import Protocol
+
+from drivers import DRIVERS
+from drivers.interface import (
+    CanFrame,
+    CommandKind,
+    Driver,
+    MotorCommand,
+    MotorFeedback,
+    MotorSpec,
+    MotorState,
+    Watchdog,
+)
+
+BUS = "can0"
+MS = 1_000_000
+CYCLE_NS = 4 * MS
+WATCHDOG = Watchdog(timeout_s=0.1, firmware="0.6.10", enable_endpoint=188, timeout_endpoint=189)
+PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
+
+
+def spec(variant: str, *, id: int = 3, name: str = "", watchdog: Watchdog | None = None) -> MotorSpec:
+    """A motor of 100 rad/s, 2 N m and 20 A."""
+    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, watchdog)
+
+
+def can_frame(text: str, *, received_ns: int | None = None) -> CanFrame:
+    """Frame from `id#data` in hex, or `id#R` for a remote one."""
+    identifier, _, data = text.partition("#")
+    if data == "R":
+        return CanFrame(BUS, int(identifier, 16), b"", remote=True, received_ns=received_ns)
+    return CanFrame(BUS, int(identifier, 16), bytes.fromhex(data), received_ns=received_ns)
+
+
+def can_text(frame: CanFrame) -> str:
+    """The other way round."""
+    return f"{frame.id:03X}#{'R' if frame.remote else frame.data.hex().upper()}"
+
+
+class Device(Protocol):
+    """A fake controller."""
+
+    def answers(self, frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]: ...
+
+
+_ENDPOINT_VALUE = Struct("<BHB4s")
+
+
+@dataclass
+class FakeOdrive:
+    """One axis: says heartbeats and estimates, and answers what it is asked, unless told otherwise."""
+
+    node: int
+    variant: str
+    firmware: tuple[int, int, int] = (0, 6, 10)
+    axis_state: int = 1
+    errors: int = 0
+    disarm_reason: int = 0
+    result: int = 0
+    estimates: tuple[float, float] = (0.0, 0.0)
+    powered: bool = True
+    encoder: bool = True
+    arms: bool = True
+    confirms_writes: bool = False
+    deaf: Callable[[CanFrame], bool] = lambda _frame: False  # frames that get lost on the way to it
+    endpoints: dict[int, bytes] = field(default_factory=lambda: {188: bytes(4), 189: bytes(4)})
+    stuck: set[int] = field(default_factory=set)  # endpoints that keep their value
+    next_heartbeat_ns: int = 0
+
+    def answers(self, frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
+        """What is heard from it until now."""
+        if not self.powered:
+            return []
+        replies = [reply for frame in frames for reply in self._reply(frame)]
+        if self.encoder:
+            replies.append(self._frame(0x09, pack("<ff", *self.estimates)))
+        if now_ns >= self.next_heartbeat_ns:
+            self.next_heartbeat_ns = now_ns + 100 * MS
+            replies.append(self.heartbeat())
+        return [reply._replace(received_ns=now_ns) for reply in replies]
+
+    def heartbeat(self) -> CanFrame:
+        """The heartbeat of this moment."""
+        if self.variant == "0.5":
+            return self._frame(0x01, pack("<IBBBB", self.errors, self.axis_state, 0, 0, 0x80))
+        return self._frame(0x01, pack("<IBBBB", self.errors, self.axis_state, self.result, 0, 0))
+
+    def reboot(self) -> None:
+        """As after a power cycle: nothing of what was written is left."""
+        self.axis_state, self.errors = 1, 0
+        self.endpoints = {endpoint: bytes(4) for endpoint in self.endpoints}
+
+    def _reply(self, frame: CanFrame) -> list[CanFrame]:
+        if frame.id >> 5 != self.node or self.deaf(frame):
+            return []
+        command = frame.id & 0x1F
+        if command == 0x00 and frame.remote and self.variant == "0.6":
+            return [self._frame(0x00, bytes([2, 4, 4, 58, *self.firmware, 0]))]
+        if frame.remote:
+            return self._told_errors(command)
+        if command == 0x04:
+            return self._endpoint(frame.data)
+        if command == 0x07:
+            self._ask_state(unpack_from("<I", frame.data)[0])
+        if command == 0x18:
+            self.errors = 0
+        return []
+
+    def _told_errors(self, command: int) -> list[CanFrame]:
+        if self.variant == "0.6":
+            return [self._frame(0x03, pack("<II", self.errors, self.disarm_reason))] if command == 0x03 else []
+        told = {0x03: pack("<Q", self.disarm_reason), 0x04: bytes(8), 0x1D: bytes(8)}
+        return [self._frame(command, told[command])] if command in told else []
+
+    def _endpoint(self, data: bytes) -> list[CanFrame]:
+        opcode, endpoint, _, value = _ENDPOINT_VALUE.unpack(data)
+        if opcode == 1:
+            if endpoint not in self.stuck:
+                self.endpoints[endpoint] = value
+            # A confirmation shows what was asked for, not what is there.
+            return [self._frame(0x05, _ENDPOINT_VALUE.pack(0, endpoint, 0, value))] if self.confirms_writes else []
+        return [self._frame(0x05, _ENDPOINT_VALUE.pack(0, endpoint, 0, self.endpoints[endpoint]))]
+
+    def _ask_state(self, asked: int) -> None:
+        if asked != 8 or (self.arms and not self.errors):
+            self.axis_state = asked
+
+    def _frame(self, command: int, data: bytes) -> CanFrame:
+        return CanFrame(BUS, self.node << 5 | command, data)
+
+
+@dataclass
+class FakeDji:
+    """One motor at rest at 180 degrees."""
+
+    id: int
+    powered: bool = True
+
+    def answers(self, _frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
+        """Feedback of this cycle."""
+        if not self.powered:
+            return []
+        return [CanFrame(BUS, 0x200 + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
+
+
+class Bench:
+    """A driver with its fake devices, cycled every 4 ms."""
+
+    def __init__(self, driver: Driver, devices: Sequence[Device]) -> None:
+        self.driver = driver
+        self.devices = devices
+        self.now_ns = 1_000 * MS
+        self.sent: list[tuple[int, CanFrame]] = []  # with the time
+        self.states: list[MotorState] = []  # right after the command
+
+    def cycle(self, commands: Sequence[MotorCommand]) -> list[CanFrame]:
+        """One cycle: command, let the devices answer, take the answers."""
+        frames = self.driver.command(commands, now_ns=self.now_ns)
+        self.states = [motor.state for motor in self.feedback()]
+        self.sent += [(self.now_ns, frame) for frame in frames]
+        heard = [answer for device in self.devices for answer in device.answers(frames, self.now_ns + MS)]
+        self.now_ns += CYCLE_NS
+        for frame in heard:
+            assert self.driver.receive(frame)
+        return frames
+
+    def run(self, command: MotorCommand, *, ms: int, until: Callable[[], bool] = lambda: False) -> list[CanFrame]:
+        """The same command to all for a while; the frames sent."""
+        end, frames = self.now_ns + ms * MS, list[CanFrame]()
+        while self.now_ns < end and not until():
+            frames += self.cycle([command] * len(self.devices))
+        return frames
+
+    def feedback(self) -> list[MotorFeedback]:
+        """Feedback as of the next cycle."""
+        return self.driver.feedback(now_ns=self.now_ns)
+
+
+def odrive_setpoints(frame: CanFrame) -> tuple[float, ...]:
+    """Velocity, torque feed-forward or torque that an ODrive frame asks for; nothing for other frames."""
+    command = frame.id & 0x1F
+    if frame.remote or command not in {0x0C, 0x0D, 0x0E}:
+        return ()
+    return unpack("<ff", frame.data)
+
+
+def dji_setpoints(frame: CanFrame) -> tuple[float, ...]:
+    """Current raw of the four slots."""
+    return unpack(">4h", frame.data) if frame.id in {0x200, 0x1FF} else ()
+
+
+@dataclass
+class Rig:
+    """How to test one driver: its kinds of command, a bench with two motors, its setpoints, a frame with a fault."""
+
+    kinds: tuple[CommandKind, ...]
+    ids: tuple[int, int]
+    bad_ids: tuple[int, ...]
+    device: Callable[[int, str], Device]
+    setpoints: Callable[[CanFrame], tuple[float, ...]]
+    fault_frame: Callable[[int, str], CanFrame] | None
+    watchdogs: tuple[str, ...] = ()
+
+    def specs(self, variant: str) -> list[MotorSpec]:
+        """Two motors."""
+        watchdog = WATCHDOG if variant in self.watchdogs else None
+        return [spec(variant, id=at, watchdog=watchdog) for at in self.ids]
+
+    def asked(self, frames: Sequence[CanFrame]) -> list[float]:
+        """Every setpoint in the frames, all finite."""
+        values = [value for frame in frames for value in self.setpoints(frame)]
+        assert all(isfinite(value) for value in values)
+        return values
+
+
+RIGS: dict[str, Rig] = {
+    "odrive": Rig(
+        kinds=(CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.BRAKE, CommandKind.COAST),
+        ids=(3, 0),
+        bad_ids=(-1, 63, 64),
+        device=FakeOdrive,
+        setpoints=odrive_setpoints,
+        fault_frame=lambda node, _variant: CanFrame(BUS, node << 5 | 1, pack("<IBBBB", 0x4000, 1, 0, 0, 0)),
+        watchdogs=("0.6",),
+    ),
+    "dji": Rig(
+        kinds=(CommandKind.TORQUE, CommandKind.COAST),
+        ids=(2, 7),
+        bad_ids=(-1, 0, 9),
+        device=lambda id, _variant: FakeDji(id),
+        setpoints=dji_setpoints,
+        fault_frame=None,  # the controllers report no faults
+    ),
+}
+
+
+def bench(driver: str, variant: str) -> tuple[Bench, Rig]:
+    """A driver of this variant on a bench of two motors."""
+    rig = RIGS[driver]
+    specs = rig.specs(variant)
+    return Bench(DRIVERS[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig

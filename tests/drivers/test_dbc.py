@@ -1,0 +1,212 @@
+"""Our layouts against an independent reader: cantools with the vendor's DBC files, and a small DBC of DJI."""
+
+from math import isclose, isnan, pi
+from pathlib import Path
+
+import odrive_can
+import pytest
+from cantools.database import load_file, load_string
+from cantools.database.can import Database, Message
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.dji import VARIANTS, DjiDriver
+from drivers.interface import CanFrame, CommandKind, MotorCommand
+from drivers.odrive import OdriveDriver
+from drivers.odrive_firmware import (
+    CONTROLLER_ERRORS_05,
+    ENCODER_ERRORS_05,
+    ERRORS_05,
+    ERRORS_06,
+    FIRMWARES,
+    MOTOR_ERRORS_05,
+    PROCEDURE_RESULTS_06,
+    Bit,
+)
+from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, spec
+
+
+def database(text: str | Path) -> Database:
+    """A DBC from its file or text."""
+    loaded = load_file(text) if isinstance(text, Path) else load_string(text, database_format="dbc")
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+FOLDER = Path(odrive_can.__file__).parent / "dbc"
+DATABASES = {
+    "0.5": database(FOLDER / "odrive-cansimple-0.5.6.dbc"),
+    "0.6": database(FOLDER / "odrive-cansimple-0.6.10.dbc"),
+}
+DJI_DBC = """VERSION ""
+BS_:
+BU_: HOST ESC
+BO_ 512 Command: 8 HOST
+ SG_ current_raw_1 : 7|16@0- (1,0) [0|0] "" ESC
+ SG_ current_raw_2 : 23|16@0- (1,0) [0|0] "" ESC
+ SG_ current_raw_3 : 39|16@0- (1,0) [0|0] "" ESC
+ SG_ current_raw_4 : 55|16@0- (1,0) [0|0] "" ESC
+BO_ 513 Feedback: 8 ESC
+ SG_ angle_ticks : 7|16@0+ (1,0) [0|0] "" HOST
+ SG_ speed_rpm : 23|16@0- (1,0) [0|0] "rpm" HOST
+ SG_ current_raw : 39|16@0- (1,0) [0|0] "" HOST
+ SG_ temperature_c : 55|8@0+ (1,0) [0|0] "degC" HOST
+"""
+DJI_DATABASE = database(DJI_DBC)
+
+NODE = 3
+IN_DBC = [
+    pytest.param(variant, message, id=f"{variant} {message.name.partition('_')[2]}")
+    for variant in DATABASES
+    for message in DATABASES[variant].messages
+    if message.name.startswith(f"Axis{NODE}_")
+]
+
+
+def numbers(message: Message, data: bytes) -> dict[str, float]:
+    """What the DBC reads in a frame, choices as numbers."""
+    values = message.decode(data, decode_choices=False)
+    assert isinstance(values, dict)
+    return {name: value for name, value in values.items() if isinstance(value, int | float)}
+
+
+def choices(variant: str, message: str, signal: str) -> dict[int, str]:
+    """The words that the DBC has for the values of a signal."""
+    words = DATABASES[variant].get_message_by_name(f"Axis{NODE}_{message}").get_signal_by_name(signal).choices
+    assert words is not None
+    return {value: str(word) for value, word in words.items()}
+
+
+def same(ours: float, theirs: float, bits: int) -> bool:
+    """Integers are compared as bit patterns: the DBC of 0.5 halves Motor_Error and takes counts as unsigned."""
+    if isinstance(ours, int) and isinstance(theirs, int):
+        return (ours - theirs) % (1 << bits) == 0
+    return isclose(ours, theirs, rel_tol=1e-12) or (isnan(ours) and isnan(theirs))
+
+
+@pytest.mark.parametrize(("variant", "message"), IN_DBC)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_odrive_layouts(variant: str, message: Message, data: st.DataObject) -> None:
+    payload = data.draw(st.binary(min_size=message.length, max_size=message.length))
+    decoded = OdriveDriver(BUS, [spec(variant)]).decode(CanFrame(BUS, message.frame_id, payload))
+    assert decoded is not None
+    assert f"Axis{NODE}_{decoded.message}" == message.name
+    theirs = numbers(message, payload)
+    assert {name for name, _ in decoded.fields} == set(theirs)
+    lengths = {signal.name: signal.length for signal in message.signals}
+    assert all(same(value, theirs[name], lengths[name]) for name, value in decoded.fields)
+
+
+@pytest.mark.parametrize("variant", DATABASES)
+def test_no_message_is_missing_or_extra(variant: str) -> None:
+    firmware = FIRMWARES[variant]
+    ours = {message.name for message in (*firmware.to_device.values(), *firmware.from_device.values())}
+    theirs = {param.values[1].name.partition("_")[2] for param in IN_DBC if param.values[0] == variant}  # type: ignore[union-attr]
+    assert ours - theirs == ({"Estop"} if variant == "0.5" else set())
+    assert theirs <= ours
+    assert not set(firmware.to_device) & set(firmware.from_device)
+
+
+@pytest.mark.parametrize("variant", DATABASES)
+def test_what_bringup_sends_is_what_the_dbc_reads(variant: str) -> None:
+    driver = OdriveDriver(BUS, [spec(variant)])
+    stand = Bench(driver, [FakeOdrive(NODE, variant)])
+    stand.run(MotorCommand(CommandKind.VELOCITY, -10.0 * pi), ms=500)
+    stand.run(MotorCommand(CommandKind.TORQUE, 0.75), ms=500)
+    read = [
+        (message.name.partition("_")[2], numbers(message, frame.data))
+        for _, frame in stand.sent
+        if not frame.remote
+        for message in [DATABASES[variant].get_message_by_frame_id(frame.id)]
+    ]
+    assert ("Set_Controller_Mode", {"Control_Mode": 2, "Input_Mode": 1}) in read
+    assert ("Set_Controller_Mode", {"Control_Mode": 1, "Input_Mode": 1}) in read
+    assert ("Set_Axis_State", {"Axis_Requested_State": 8}) in read
+    assert ("Set_Axis_State", {"Axis_Requested_State": 1}) in read
+    assert ("Set_Input_Vel", {"Input_Vel": -5.0, "Input_Torque_FF": 0.0}) in read
+    assert ("Set_Input_Torque", {"Input_Torque": 0.75}) in read
+    (limits, *_) = [values for name, values in read if name == "Set_Limits"]
+    assert limits == pytest.approx({"Velocity_Limit": 100.0 / (2.0 * pi), "Current_Limit": 20.0})
+
+
+@pytest.mark.parametrize("variant", DATABASES)
+def test_what_the_dbc_writes_is_what_we_measure(variant: str) -> None:
+    driver = OdriveDriver(BUS, [spec(variant)])
+
+    def feed(name: str, **values: float) -> None:
+        message = DATABASES[variant].get_message_by_name(f"Axis{NODE}_{name}")
+        everything = {signal.name: 0 for signal in message.signals} | values
+        assert driver.receive(CanFrame(BUS, message.frame_id, message.encode(everything), received_ns=5 * MS))
+
+    feed("Heartbeat", Axis_State=1)
+    feed("Get_Encoder_Estimates", Pos_Estimate=-10.5, Vel_Estimate=0.25)
+    feed("Get_Bus_Voltage_Current", Bus_Voltage=47.5, Bus_Current=1.0)
+    if variant == "0.6":
+        feed("Get_Temperature", FET_Temperature=40.5, Motor_Temperature=61.0)
+        feed("Get_Torques", Torque_Target=9.0, Torque_Estimate=-0.125)
+    (feedback,) = driver.feedback(now_ns=7 * MS)
+    assert feedback.position == pytest.approx(-21.0 * pi)
+    assert feedback.velocity == pytest.approx(0.5 * pi)
+    assert (feedback.voltage, feedback.age_ns) == (47.5, 2 * MS)
+    expected = (-0.125, 61.0) if variant == "0.6" else (None, None)
+    assert (feedback.torque, feedback.temperature_c) == expected
+
+
+@pytest.mark.parametrize(
+    ("variant", "message", "signal", "table"),
+    [
+        ("0.6", "Heartbeat", "Axis_Error", ERRORS_06),
+        ("0.6", "Get_Error", "Disarm_Reason", ERRORS_06),
+        ("0.5", "Heartbeat", "Axis_Error", ERRORS_05),
+        ("0.5", "Get_Motor_Error", "Motor_Error", MOTOR_ERRORS_05),
+        ("0.5", "Get_Encoder_Error", "Encoder_Error", ENCODER_ERRORS_05),
+        ("0.5", "Get_Controller_Error", "Controller_Error", CONTROLLER_ERRORS_05),
+    ],
+)
+def test_error_words(variant: str, message: str, signal: str, table: dict[int, Bit]) -> None:
+    theirs = {mask: word for mask, word in choices(variant, message, signal).items() if mask}
+    extra = {0x2_0000} if table is ERRORS_06 else {1 << 32, 1 << 33, 1 << 34} if table is ERRORS_05 else set()
+    assert {mask: bit.word for mask, bit in table.items() if mask not in extra} == theirs
+
+
+def test_procedure_results() -> None:
+    theirs = choices("0.6", "Heartbeat", "Procedure_Result")
+    assert theirs | {16: "REQUESTED_CURRENT_TOO_HIGH"} == PROCEDURE_RESULTS_06
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    angle=st.integers(0, 8191),
+    rpm=st.integers(-32768, 32767),
+    current=st.integers(-32768, 32767),
+    temperature=st.integers(0, 255),
+)
+def test_dji_feedback(angle: int, rpm: int, current: int, temperature: int) -> None:
+    values = {"angle_ticks": angle, "speed_rpm": rpm, "current_raw": current, "temperature_c": temperature}
+    data = DJI_DATABASE.encode_message("Feedback", values)
+    driver = DjiDriver(BUS, [spec("c620", id=1)])
+    frame = CanFrame(BUS, 0x201, data, received_ns=0)
+    decoded = driver.decode(frame)
+    assert decoded is not None
+    assert dict(decoded.fields) == values
+    assert driver.receive(frame)
+    (feedback,) = driver.feedback(now_ns=0)
+    assert feedback.position == pytest.approx(angle * 2 * pi / 8192)
+    assert feedback.velocity == pytest.approx(rpm * 2 * pi / 60)
+    assert feedback.torque == pytest.approx(current * 20 / 16384 * 0.3 * 187 / 3591)
+    assert feedback.temperature_c == temperature
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-30.0, 30.0), min_size=4, max_size=4))
+def test_dji_command(amperes: list[float]) -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=at) for at in range(1, 5)])
+    for at in range(1, 5):
+        driver.receive(CanFrame(BUS, 0x200 + at, bytes(8), received_ns=0))
+    constant = VARIANTS["c620"].torque_constant
+    commands = [MotorCommand(CommandKind.TORQUE, ampere * constant) for ampere in amperes]
+    (frame,) = driver.command(commands, now_ns=1)
+    raws = numbers(DJI_DATABASE.get_message_by_frame_id(frame.id), frame.data)
+    for at, ampere in enumerate(amperes, 1):
+        assert raws[f"current_raw_{at}"] == pytest.approx(max(-20.0, min(20.0, ampere)) * 16384 / 20, abs=0.51)

@@ -1,0 +1,345 @@
+"""ODrive once armed: release, change of mode, reboot, faults and measurements."""
+
+from struct import unpack
+
+import pytest
+
+from drivers.interface import BRAKE, COAST, MotorState
+from drivers.odrive import OdriveDriver
+from tests.drivers.odrive_stand import (
+    ARM,
+    CLEAR_06,
+    IDLE,
+    LIMITS,
+    READS,
+    TORQUE,
+    TORQUE_MODE,
+    VELOCITY,
+    VELOCITY_MODE,
+    VERSION,
+    WRITES,
+    ZERO,
+    fault,
+    feed,
+    only,
+    operational,
+    stand_of,
+    story,
+)
+from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, can_frame, can_text, odrive_setpoints, spec
+
+# --- while armed ---
+
+
+def test_brake_is_velocity_zero_in_closed_loop() -> None:
+    stand, device = operational()
+    frames = stand.run(BRAKE, ms=200)
+    assert {can_text(frame) for frame in frames} == {ZERO}
+    assert device.axis_state == 8
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_coast_releases_at_once_and_repeats_until_the_heartbeat_says_idle() -> None:
+    stand, device = operational()
+    device.deaf = lambda frame: frame.id == 0x067
+    frames = stand.cycle([COAST])
+    assert [can_text(frame) for frame in frames] == [IDLE, ZERO]
+    stand.run(COAST, ms=996)
+    assert story(stand) == [IDLE] * 10
+    assert only(stand).state is MotorState.STARTING
+    device.deaf = lambda _frame: False
+    stand.run(COAST, ms=1000)
+    assert 1 <= story(stand)[10:].count(IDLE) <= 2
+    assert only(stand).state is MotorState.IDLE
+    assert only(stand).fault is None
+
+
+def test_coast_during_arming_is_not_overtaken_by_it() -> None:
+    stand, device = stand_of("0.5")
+    stand.run(VELOCITY, ms=1000, until=lambda: device.axis_state == 8)
+    stand.run(COAST, ms=300)
+    assert story(stand)[-1] == IDLE
+    assert device.axis_state == 1
+    assert only(stand).state is MotorState.IDLE
+
+
+def test_another_control_mode_is_set_in_idle() -> None:
+    stand, _ = operational(command=VELOCITY)
+    stand.run(TORQUE, ms=500)
+    assert story(stand) == [IDLE, CLEAR_06, TORQUE_MODE, LIMITS, ARM]
+    assert unpack("<ff", stand.cycle([TORQUE])[0].data) == (0.5, 0.0)
+    stand.sent.clear()
+    stand.run(VELOCITY, ms=500)
+    assert story(stand) == [IDLE, CLEAR_06, VELOCITY_MODE, LIMITS, ARM]
+
+
+def test_reboot_starts_over_with_the_watchdog() -> None:
+    stand, device = operational()
+    device.powered = False
+    stand.run(VELOCITY, ms=200)
+    assert only(stand).state is MotorState.SILENT
+    stand.run(VELOCITY, ms=800)
+    assert only(stand).fault is None
+    assert set(story(stand)) == {IDLE}
+    stand.sent.clear()
+    device.reboot()
+    device.powered = True
+    stand.run(VELOCITY, ms=1000)
+    assert [text for text in story(stand) if text != IDLE] == [
+        *(VERSION, *WRITES, *READS),
+        *(CLEAR_06, VELOCITY_MODE, LIMITS, ARM),
+    ]
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_a_controller_that_says_it_is_booting_starts_over_without_a_fault() -> None:
+    stand, device = operational()
+    device.reboot()
+    device.errors = 0x1
+    feed(stand, device.heartbeat())
+    stand.run(VELOCITY, ms=500)
+    assert ARM not in story(stand)
+    assert only(stand).state is MotorState.STARTING
+    assert only(stand).fault is None
+    device.errors = 0
+    stand.run(VELOCITY, ms=500)
+    assert VERSION in story(stand)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_what_was_read_back_before_a_reboot_does_not_count_after_it() -> None:
+    stand, device = operational()
+    device.powered = False
+    stand.run(VELOCITY, ms=1000)
+    device.reboot()
+    device.powered = True
+    device.deaf = lambda frame: frame.id == 0x064  # neither written nor read back
+    stand.run(VELOCITY, ms=2000)
+    assert READS[1] in story(stand)
+    assert ARM not in story(stand)
+
+
+def test_release_does_not_wait_for_the_period_of_the_last_one() -> None:
+    stand, device = operational()
+    for _ in range(12):  # 48 ms, heartbeats in every cycle: released and armed again well within 100 ms
+        stand.cycle([TORQUE])
+        feed(stand, device.heartbeat())
+    assert device.axis_state == 8
+    assert can_text(stand.cycle([COAST])[0]) == IDLE
+
+
+def test_missing_estimates_are_silence_that_heals() -> None:
+    stand, device = operational()
+    device.encoder = False
+    stand.run(VELOCITY, ms=60)
+    assert only(stand).state is MotorState.SILENT
+    assert [can_text(frame) for frame in stand.cycle([VELOCITY])] == [ZERO]
+    device.encoder = True
+    stand.run(VELOCITY, ms=8)
+    assert only(stand).state is MotorState.OPERATIONAL
+    assert only(stand).fault is None
+
+
+def test_missing_heartbeats_are_silence_although_estimates_come() -> None:
+    stand, device = operational()
+    device.next_heartbeat_ns = stand.now_ns + 1000 * MS
+    stand.run(VELOCITY, ms=320)
+    assert only(stand).state is MotorState.SILENT
+    assert [can_text(frame) for frame in stand.cycle([VELOCITY])][-1] == ZERO
+    stand.run(VELOCITY, ms=1500)
+    assert VERSION in story(stand)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+# --- faults ---
+
+
+def test_armed_drop_without_error_bit_is_a_latched_fault() -> None:
+    stand, device = operational()
+    device.axis_state, device.result, device.disarm_reason = 1, 3, 0x0400_0000
+    feed(stand, device.heartbeat())
+    assert only(stand).state is MotorState.FAULT
+    assert fault(stand) == ("disarmed", "left CLOSED_LOOP_CONTROL on its own, procedure result DISARMED")
+    assert not any(any(odrive_setpoints(frame)) for frame in stand.run(VELOCITY, ms=1000))
+    assert story(stand) == ["063#R"]
+    assert fault(stand)[1].endswith("disarm reason: SPINOUT_DETECTED")
+    stand.driver.clear_faults()
+    assert only(stand).fault is None
+    stand.run(COAST, ms=1000)
+    assert ARM not in story(stand)
+    assert only(stand).state is MotorState.IDLE
+    stand.run(VELOCITY, ms=500)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+@pytest.mark.parametrize(
+    ("errors", "code", "words"),
+    [
+        (0x4000, "over_temperature", "INVERTER_OVER_TEMP"),
+        (0x200, "under_voltage", "DC_BUS_UNDER_VOLTAGE"),
+        (0x0100_0002, "watchdog", "SYSTEM_LEVEL, WATCHDOG_TIMER_EXPIRED"),
+        (0x8000_0010, "device_error", "BAD_CONFIG, unknown 0x80000000"),
+    ],
+)
+def test_error_bits_of_06_in_the_words_of_the_vendor(errors: int, code: str, words: str) -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = errors, 1
+    feed(stand, device.heartbeat())
+    assert fault(stand) == (code, words)
+    device.errors = 0
+    stand.run(COAST, ms=1000)
+    assert fault(stand)[0] == code
+    assert CLEAR_06 not in story(stand)
+
+
+WATCHDOG_EXPIRED = 0x0100_0000
+
+
+def test_the_watchdog_of_the_controller_is_a_fault_until_the_host_lets_go() -> None:
+    """It missed our frames; nothing is broken, but nothing is armed again by itself either."""
+    stand, device = operational()
+    device.errors, device.axis_state = WATCHDOG_EXPIRED, 1
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).fault == ("watchdog", "WATCHDOG_TIMER_EXPIRED", False)
+    assert device.axis_state == 1
+    stand.run(COAST, ms=300)
+    assert only(stand).fault is None
+    assert only(stand).state is MotorState.IDLE
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+    assert device.errors == 0
+
+
+def test_a_watchdog_left_by_a_former_host_does_not_hinder_arming() -> None:
+    stand, device = stand_of()
+    device.errors = WATCHDOG_EXPIRED
+    stand.run(COAST, ms=500)
+    assert only(stand).fault is None
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_error_bits_before_arming_are_latched_too() -> None:
+    stand, device = stand_of()
+    device.errors = 0x200
+    stand.run(VELOCITY, ms=1000)
+    assert fault(stand)[0] == "under_voltage"
+    assert CLEAR_06 not in story(stand)
+    stand.driver.clear_faults()
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_a_heartbeat_on_its_way_does_not_bring_a_cleared_fault_back() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = 0x200, 1
+    stale = device.heartbeat()
+    feed(stand, stale)
+    stand.run(COAST, ms=500)
+    stand.driver.clear_faults()
+    stand.cycle([COAST])
+    feed(stand, stale)
+    assert only(stand).fault is None
+    stand.run(COAST, ms=500)
+    assert only(stand).state is MotorState.IDLE
+
+
+def test_a_cause_that_persists_comes_back() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = 0x200, 1
+    device.deaf = lambda frame: frame.id == 0x078
+    stand.run(COAST, ms=500)
+    stand.driver.clear_faults()
+    stand.sent.clear()
+    stand.run(COAST, ms=1000)
+    assert 3 <= story(stand).count(CLEAR_06) <= 6
+    assert fault(stand)[0] == "under_voltage"
+
+
+def test_clear_leaves_a_well_axis_alone() -> None:
+    stand, _ = operational()
+    stand.driver.clear_faults()
+    stand.run(VELOCITY, ms=200)
+    assert story(stand) == []
+    assert stand.states == [MotorState.OPERATIONAL]
+
+
+def test_arming_in_vain_asks_why_and_says_so() -> None:
+    stand, device = stand_of()
+    device.arms, device.disarm_reason, device.result = False, 0x40, 14
+    stand.run(VELOCITY, ms=3000)
+    assert 1 <= story(stand).count(ARM) <= 4
+    assert story(stand).index("063#R") > story(stand).index(ARM)
+    code, text = fault(stand)
+    assert code == "arming_failed"
+    assert text.endswith("within 1 s, procedure result NOT_CALIBRATED; disarm reason: MISSING_INPUT")
+    assert IDLE in story(stand)[story(stand).index(ARM) :]
+    device.arms, device.result = True, 0
+    stand.driver.clear_faults()
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_arming_in_vain_with_no_answer_to_why_is_a_fault_all_the_same() -> None:
+    stand, device = stand_of()
+    device.arms = False
+    device.deaf = lambda frame: frame.id == 0x063
+    stand.run(VELOCITY, ms=3000)
+    assert fault(stand)[0] == "arming_failed"
+
+
+def test_05_is_asked_for_its_sub_errors() -> None:
+    stand, device = operational("0.5")
+    device.errors, device.axis_state, device.disarm_reason = 0x40, 1, 0x8_0000_0008
+    stand.run(VELOCITY, ms=500)
+    assert story(stand) == ["063#R", "064#R", "07D#R"]
+    assert fault(stand) == ("motor", "MOTOR_FAILED; motor: DRV_FAULT, UNBALANCED_PHASES")
+
+
+def test_05_flags_alone_are_a_fault() -> None:
+    stand, _ = operational("0.5")
+    feed(stand, can_frame("061#0000000008000100"))
+    assert fault(stand) == ("encoder", "encoder error flag")
+
+
+def test_a_latched_fault_outlives_silence() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = 0x200, 1
+    stand.run(COAST, ms=500)
+    device.powered = False
+    stand.run(COAST, ms=500)
+    assert only(stand).state is MotorState.SILENT
+    assert fault(stand)[0] == "under_voltage"
+    device.reboot()
+    device.powered = True
+    stand.run(COAST, ms=500)
+    assert only(stand).state is MotorState.FAULT
+
+
+# --- measurements ---
+
+
+def test_numbers_that_are_none_are_dropped() -> None:
+    stand, device = operational()
+    feed(stand, can_frame("075#0000224200007442"))
+    feed(stand, can_frame("07C#0000003F0000803E"))
+    feed(stand, can_frame("077#0000C0410000003F"))
+    device.encoder = False
+    before = only(stand)
+    assert (before.voltage, before.torque, before.temperature_c) == (24.0, 0.25, 61.0)
+    for bad in ("0000C07F", "0000807F", "000080FF"):
+        for frame in (f"069#{bad}00000000", f"069#00000000{bad}", f"075#{bad * 2}", f"07C#{bad * 2}", f"077#{bad * 2}"):
+            feed(stand, can_frame(frame))
+    assert only(stand) == before
+    feed(stand, can_frame("075#00002242" + "0000C07F"))
+    assert only(stand).temperature_c == 40.5
+
+
+def test_two_axes_are_independent() -> None:
+    driver = OdriveDriver(BUS, [spec("0.5", id=0), spec("0.6", id=62)])
+    assert not driver.capabilities.device_watchdog
+    stand = Bench(driver, [FakeOdrive(0, "0.5"), FakeOdrive(62, "0.6", powered=False)])
+    for _ in range(200):
+        stand.cycle([VELOCITY, BRAKE])
+    assert stand.states == [MotorState.OPERATIONAL, MotorState.SILENT]
+    assert max(time for time, _ in stand.sent) < 2_000 * MS

@@ -1,0 +1,128 @@
+"""End to end on loopback: the service in one process, commanders in others, the session read back."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.types import Mode
+from gateway.zenoh_session import open_session as open_zenoh
+from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, standing
+from tests.world import NAMES
+
+both = pytest.mark.parametrize("name", NAMES)
+
+
+@both
+def test_drive_silence_stop_and_verify(name: str, tmp_path: Path, free_port: int) -> None:
+    with RobotProcess(name, tmp_path, free_port) as robot:
+        client = robot.client
+        robot.start()
+        state = robot.stream(0.3, 0.0, 0.0, until=faster_than(0.28))
+        assert state.status.winner == "teleop"
+        assert all(motor.measured is not None for motor in state.status.motors)
+
+        robot.await_state(in_mode(Mode.IDLE))
+        assert robot.stream(0.3, 0.0, 0.0, until=lambda state: state.status.winner == "teleop").status.mode is Mode.IDLE
+
+        robot.start()
+        robot.stream(0.3, 0.0, 0.0, until=faster_than(0.2), source="autonomy")
+        state = robot.stream(0.0, 0.0, 0.4, until=lambda state: state.status.winner == "teleop")
+        outranked = {source.name: source.reason for source in state.status.sources}["autonomy"]
+        assert outranked is not None
+
+        client.stop()
+        robot.await_state(in_mode(Mode.ESTOP))
+        robot.await_state(standing)
+        robot.stream(0.3, 0.0, 0.0, until=lambda state: state.status.winner == "teleop")
+        answer = client.reset()
+        assert not answer.ok
+        assert answer.reason == "teleop commands motion; commands must be zero"
+        robot.await_state(lambda state: state.status.winner is None)
+        assert client.reset().ok
+        robot.await_state(in_mode(Mode.IDLE))
+
+        odometry, truth = client.odometry(), client.truth()
+        assert odometry is not None
+        assert truth is not None
+        assert odometry.x == pytest.approx(truth.x, abs=0.02)
+        assert odometry.y == pytest.approx(truth.y, abs=0.02)
+
+        robot.start()
+        robot.stream(0.3, 0.0, 0.0, until=faster_than(0.2))
+        assert robot.end() == 0
+        verdict = robot.verify()
+        assert verdict.problem is None
+        assert verdict.first_difference is None
+        assert verdict.identical
+        assert verdict.frames > verdict.cycles
+
+
+def test_bad_payloads_are_refused_with_a_reason_and_move_nothing(tmp_path: Path, free_port: int) -> None:
+    bad = {
+        "omni4/cmd/twist/teleop": [b"", b"{", b"\xff\xfe", b'{"vx":1}', b'{"vx":NaN,"vy":0,"wz":0}', b"9" * 5000],
+        "omni4/cmd/twist/stranger": [b'{"vx":0,"vy":0,"wz":0}'],
+        "omni4/cmd/twist/*": [b'{"vx":0,"vy":0,"wz":0}'],
+        "**": [b'{"vx":0,"vy":0,"wz":0}'],
+    }
+    expected = {"refused_malformed", "refused_not_finite", "refused_too_long", "refused_unknown_source"}
+    with RobotProcess("omni4", tmp_path, free_port) as robot:
+        robot.await_state(lambda state: state.status.reason == "waiting for a fresh zero command")
+        session = open_zenoh(listen=[], connect=[robot.endpoint], max_message_size=65536)
+        codes: set[str] = set()
+        for _ in range(40):
+            for key, payloads in bad.items():
+                if key == "**":
+                    continue
+                for payload in payloads:
+                    session.put(key, payload)
+            session.delete("omni4/cmd/twist/teleop")
+            robot.client.wait_for_state(lambda state: state is not robot.client.state(), 0.3)
+            codes |= {event.code for event in robot.client.events()}
+            if expected <= codes:
+                break
+        session.close()  # type: ignore[no-untyped-call]
+        assert expected <= codes
+        assert {"refused_key_not_exact", "refused_not_a_put"} & codes
+        state = robot.client.status()
+        assert state is not None
+        assert state.status.mode is Mode.IDLE
+        assert state.status.refused > 0
+
+
+def test_a_killed_commander_leaves_the_robot_at_rest(tmp_path: Path, free_port: int) -> None:
+    with RobotProcess("moby", tmp_path, free_port) as robot:
+        command = [sys.executable, "-m", "gateway", "send", "moby", "--vx", "0.4", "--for", "60"]
+        commander = subprocess.Popen([*command, "--connect", robot.endpoint], stdout=subprocess.DEVNULL)
+        try:
+            robot.await_state(faster_than(0.3), timeout=40.0)
+        finally:
+            commander.kill()
+            commander.wait(10.0)
+        robot.await_state(in_mode(Mode.STOPPING))
+        robot.await_state(in_mode(Mode.IDLE))
+        robot.await_state(standing)
+
+
+def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
+    """`send`, `stop`, `watch --once` against a running robot."""
+    with RobotProcess("omni4", tmp_path, free_port) as robot:
+
+        def drivegate(*arguments: str) -> subprocess.CompletedProcess[str]:
+            command = [sys.executable, "-m", "gateway", *arguments, "--connect", robot.endpoint]
+            return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+
+        sent = drivegate("send", "omni4", "--vy", "0.3", "--for", "1")
+        assert sent.returncode == 0, sent.stderr
+        odometry = robot.client.odometry()
+        assert odometry is not None
+        assert odometry.y > 0.15
+        stopped = drivegate("stop", "omni4", "--json")
+        assert stopped.returncode == 0, stopped.stderr
+        assert json.loads(stopped.stdout)["ok"] is True
+        assert "estop" in drivegate("watch", "omni4", "--once").stdout
+        robot.await_state(lambda state: state.status.winner is None)
+        released = drivegate("stop", "omni4", "--reset", "--json")
+        assert json.loads(released.stdout.splitlines()[-1]) == {"ok": True, "reason": None}

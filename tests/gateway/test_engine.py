@@ -1,0 +1,263 @@
+"""The core against simulated controllers: what a user relies on, in virtual time, on both robots."""
+
+import itertools
+from math import hypot, pi
+
+import pytest
+
+from drivers.interface import MotorState
+from gateway.types import ZERO_TWIST, Mode, RequestKind, Twist, TwistFrame
+from tests.world import NAMES, World
+
+FORWARD = Twist(0.4, 0.0, 0.0)
+both = pytest.mark.parametrize("name", NAMES)
+
+
+def moving(name: str) -> World:
+    world = World(name)
+    world.start()
+    world.run(2.0, FORWARD)
+    assert world.bus.robot.truth.twist[0] == pytest.approx(0.4, abs=0.02)
+    return world
+
+
+@both
+def test_nothing_moves_at_start_under_a_streaming_commander(name: str) -> None:
+    world = World(name)
+    world.run(2.0, FORWARD)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() == 0.0
+    assert world.last.status is None or world.last.status.reason == "waiting for a zero command from teleop"
+    world.run(1.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+    assert world.true_speed() < 1e-3
+
+
+@both
+@pytest.mark.parametrize("twist", [FORWARD, Twist(0.0, 0.3, 0.0), Twist(0.0, 0.0, 0.7), Twist(0.3, -0.2, 0.5)])
+def test_drives_what_is_commanded_and_knows_where_it_is(name: str, twist: Twist) -> None:
+    world = World(name)
+    world.start()
+    world.run(4.0, twist)
+    assert world.last.trace.measured == pytest.approx(twist, abs=0.02)
+    assert world.bus.robot.truth.twist == pytest.approx(twist, abs=0.02)
+    world.run(3.0, ZERO_TWIST)
+    pose, truth = world.last.trace.pose, world.bus.robot.truth.pose
+    assert hypot(pose.x - truth.x, pose.y - truth.y) < 0.02
+    assert pose.theta == pytest.approx(truth.theta, abs=0.01)
+
+
+@both
+def test_silence_ramps_to_rest_within_the_limits(name: str) -> None:
+    world = moving(name)
+    begin = len(world.records)
+    world.run(4.0)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
+    speeds = [outputs.trace.setpoint.vx for _, outputs in world.records[begin:]]
+    assert all(after <= before + 1e-12 for before, after in itertools.pairwise(speeds)), "never faster"
+    steepest = max(before - after for before, after in itertools.pairwise(speeds))
+    assert steepest <= world.config.limits.acceleration.vx * world.period_ns * 1e-9 * (1 + 1e-6), "never a step"
+    timeout = 0.3 + FORWARD.vx / world.config.limits.acceleration.vx + 0.5
+    rest = next(index for index, speed in enumerate(speeds) if speed == 0.0)
+    assert rest * world.period_ns * 1e-9 < timeout
+
+
+@both
+def test_a_commander_that_returns_after_rest_must_send_zero_first(name: str) -> None:
+    world = moving(name)
+    world.run(4.0)
+    world.run(2.0, FORWARD)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
+    world.run(0.5, ZERO_TWIST)
+    world.run(1.0, FORWARD)
+    assert world.is_in(Mode.DRIVE)
+
+
+@both
+def test_a_short_dropout_is_only_a_dip(name: str) -> None:
+    world = moving(name)
+    world.run(0.4)
+    assert world.is_in(Mode.STOPPING)
+    world.run(1.5, FORWARD)
+    assert world.is_in(Mode.DRIVE)
+    assert world.bus.robot.truth.twist[0] == pytest.approx(0.4, abs=0.02)
+
+
+@both
+def test_priorities_and_their_reasons(name: str) -> None:
+    world = World(name)
+    world.start()
+    for index in range(500):
+        commands = [world.command(Twist(0.2, 0, 0), "autonomy")] if index % 5 == 0 else []
+        if index < 250 and index % 5 == 0:
+            commands.append(world.command(Twist(0.0, 0.3, 0.0), "teleop"))
+        world.cycle(commands=commands)
+        status = world.last.status
+        if index == 200:
+            assert world.last.trace.target == Twist(0.0, 0.3, 0.0)
+        if status is not None and 100 < index < 240:
+            assert status.winner == "teleop"
+            assert [source.reason for source in status.sources] == [None, "outranked by teleop"]
+        if status is not None and index > 350:
+            assert status.winner == "autonomy"
+            assert status.sources[0].reason == "silent for longer than its timeout of 0.3 s"
+    assert world.last.trace.target == Twist(0.2, 0.0, 0.0)
+    assert world.is_in(Mode.DRIVE)
+
+
+@both
+def test_emergency_stop_is_quick_latched_and_released_only_at_rest(name: str) -> None:
+    world = moving(name)
+    world.request(RequestKind.ESTOP)
+    assert world.is_in(Mode.ESTOP)
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert not reply.ok
+    assert reply.reason == "teleop commands motion; commands must be zero"
+    world.run(1.0, FORWARD)
+    assert world.is_in(Mode.ESTOP)
+    assert world.true_speed() < 0.02
+    world.run(0.5)
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.ok
+    world.run(1.0, FORWARD)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
+    world.run(1.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+
+
+@both
+def test_reset_is_refused_while_the_robot_still_moves(name: str) -> None:
+    world = moving(name)
+    world.run(0.3)
+    world.request(RequestKind.ESTOP)
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.reason == "the robot still moves"
+
+
+@both
+def test_an_explicit_reset_arms_a_robot_at_rest(name: str) -> None:
+    world = World(name)
+    world.run(0.5)
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.ok
+    world.run(0.5, FORWARD)
+    assert world.is_in(Mode.DRIVE)
+
+
+def test_offset_robot_stops_when_a_motor_goes_silent_and_recovers_without_moving() -> None:
+    world = moving("moby")
+    world.bus.robot.devices["left"].unplug()
+    world.run(1.0, FORWARD)
+    assert world.is_in(Mode.FAULT)
+    assert "fault_silent" in world.codes()
+    world.run(3.0, FORWARD)
+    assert world.true_speed() < 0.02
+    world.bus.robot.devices["left"].plug()
+    world.run(2.0, FORWARD)
+    assert world.is_in(Mode.IDLE), "recovery is automatic"
+    assert world.true_speed() < 0.02, "motion is not"
+    world.run(2.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+
+
+def test_omni_robot_drives_on_with_three_motors() -> None:
+    world = moving("omni4")
+    world.bus.robot.devices["rear_left"].power_off()
+    world.run(2.0, FORWARD)
+    assert world.is_in(Mode.DEGRADED)
+    assert world.bus.robot.truth.twist[0] == pytest.approx(0.4, abs=0.03)
+    world.bus.robot.devices["front_left"].power_off()
+    world.run(4.0, FORWARD)
+    assert world.is_in(Mode.FAULT)
+    assert world.true_speed() < 0.05
+
+
+@both
+def test_bus_loss_stops_and_comes_back_at_rest(name: str) -> None:
+    world = moving(name)
+    world.bus.fail("can0")
+    world.run(1.0, FORWARD)
+    assert world.is_in(Mode.FAULT)
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert any(fault.startswith("can0") for fault in status.faults)
+    world.bus.restore("can0")
+    world.run(4.0, FORWARD)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
+    world.run(2.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+
+
+@both
+def test_world_frame_commands_keep_their_direction_while_turning(name: str) -> None:
+    world = World(name)
+    world.start()
+    world.run(4.0, Twist(0.3, 0.0, 0.5), frame=TwistFrame.ODOM)
+    truth = world.bus.robot.truth.pose
+    assert truth.x > 0.8
+    assert abs(truth.y) < 0.08 * truth.x
+    assert truth.theta > 1.5
+
+
+@both
+def test_shutdown_comes_to_rest_and_releases_the_motors(name: str) -> None:
+    world = moving(name)
+    world.request(RequestKind.SHUTDOWN)
+    world.run(5.0, FORWARD, until=lambda outputs: outputs.finished)
+    assert world.last.finished
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
+    assert set(world.last.trace.wheel_setpoints) == {None}
+
+
+@both
+def test_shutdown_from_idle_is_immediate(name: str) -> None:
+    world = World(name)
+    world.run(0.2)
+    world.request(RequestKind.SHUTDOWN)
+    assert world.last.finished
+
+
+def test_a_joint_that_jumps_is_not_believed() -> None:
+    """A controller that lost its position would send the offset robot the wrong way."""
+    world = World("moby")
+    world.start()
+    world.run(4.0, Twist(0.0, 0.0, 0.8))
+    world.run(4.0)
+    assert abs(world.bus.robot.truth.joint_angles[2]) > 1.0
+    world.bus.robot.devices["platform"].power_off()
+    world.run(1.0)
+    world.bus.robot.devices["platform"].power_on()
+    world.run(1.0)
+    world.run(2.0, ZERO_TWIST)
+    assert world.is_in(Mode.FAULT)
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert "platform: position jumped: reference the joint, then reset" in status.faults
+
+
+def test_wheels_saturate_together() -> None:
+    """Both axes at once ask more of a wheel than it has: all are scaled, the direction stays."""
+    world = World("moby")
+    world.start()
+    world.run(6.0, Twist(1.2, 1.2, 1.0))
+    setpoint = world.last.trace.setpoint
+    wheels = [abs(speed or 0.0) for speed in world.last.trace.wheel_setpoints]
+    top = world.config.limits.motor_speed
+    assert all(speed <= limit * (1 + 1e-9) for speed, limit in zip(wheels, top.values(), strict=True))
+    assert setpoint.vx == pytest.approx(setpoint.vy)
+
+
+def test_feedback_is_in_si_at_the_output() -> None:
+    world = World("omni4")
+    world.start()
+    world.run(3.0, Twist(0.0, 0.0, pi / 4))
+    expected = pi / 4 * 0.2 / 0.0762
+    assert world.last.trace.wheel_speeds == pytest.approx([expected] * 4, rel=0.02)
+    assert all(feedback.state is MotorState.OPERATIONAL for feedback in world.engine._motors.feedback)

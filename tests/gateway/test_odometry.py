@@ -1,0 +1,99 @@
+"""Odometry: exact arcs, no drift at rest, honest covariance, jumps told apart from motion."""
+
+from math import cos, pi, sin
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.kinematics.omni import OmniKinematics, WheelPose
+from gateway.odometry import WheelOdometry, advance
+from gateway.types import Pose, Twist
+
+RADIUS = 0.05
+POSES = [WheelPose(0.3 * cos(a), 0.3 * sin(a), a, RADIUS) for a in (pi / 4, 3 * pi / 4, 5 * pi / 4, 7 * pi / 4)]
+STEP_NS = 4_000_000
+
+
+def drive(odometry: WheelOdometry, twist: Twist, steps: int, *, residual: float = 0.0, start: int = 0) -> None:
+    """Wheel positions of a constant twist, sampled every 4 ms."""
+    rates = OmniKinematics(POSES).wheel_speeds(twist)
+    for step in range(start, start + steps + 1):
+        positions = [rate * (step - start) * 0.004 for rate in rates]
+        odometry.update(positions, residual=residual, dt=0.004, now_ns=step * STEP_NS)
+
+
+def omni() -> WheelOdometry:
+    return WheelOdometry(OmniKinematics(POSES), top_speeds=[200.0] * 4)
+
+
+def test_straight_strafe_and_turn() -> None:
+    for twist in (Twist(1, 0, 0), Twist(0, 1, 0), Twist(0, 0, 1)):
+        odometry = omni()
+        drive(odometry, twist, 250)
+        assert odometry.pose == pytest.approx(twist, abs=1e-9)
+
+
+def test_a_circle_closes_exactly() -> None:
+    """1 m/s forward at pi rad/s for 2 s: a circle of radius 1/pi, back at the start whatever the step."""
+    odometry = omni()
+    drive(odometry, Twist(1.0, 0.0, pi), 500)
+    assert odometry.pose == pytest.approx((0.0, 0.0, 2 * pi), abs=1e-9)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.integers(1, 50))
+def test_one_step_equals_many(vx: float, vy: float, wz: float, parts: int) -> None:
+    """The exponential map of a constant twist does not depend on how it is cut."""
+    whole = advance(Pose(1.0, 2.0, 0.5), Twist(vx, vy, wz))
+    pose = Pose(1.0, 2.0, 0.5)
+    for _ in range(parts):
+        pose = advance(pose, Twist(vx / parts, vy / parts, wz / parts))
+    assert pose == pytest.approx(whole, abs=1e-9)
+
+
+def test_covariance_grows_with_the_way_and_not_at_rest() -> None:
+    odometry = omni()
+    drive(odometry, Twist(1, 0, 0), 250)
+    near = odometry.read(None, None).covariance
+    assert odometry.read(None, None).covariance == near
+    drive(odometry, Twist(1, 0, 0), 250, start=251)
+    far = odometry.read(None, None).covariance
+    assert 0 < near[0] < far[0]
+    assert 0 < near[8] < far[8]
+    assert far[4] > far[0], "across the way the heading error adds up"
+    assert far[1] == far[3]
+
+
+def test_covariance_grows_with_what_the_wheels_cannot_explain() -> None:
+    clean, slipping = omni(), omni()
+    drive(clean, Twist(1, 0, 0), 250, residual=0.0)
+    drive(slipping, Twist(1, 0, 0), 250, residual=0.1)
+    grip, slip = (odometry.read(None, None).covariance for odometry in (clean, slipping))
+    assert slip[0] == pytest.approx(grip[0] + 0.01, rel=0.01), "0.1 m/s of slip for 1 s: 0.1 m standard deviation"
+    assert slip[8] > grip[8]
+
+
+def test_a_counter_that_restarts_is_no_motion() -> None:
+    odometry = omni()
+    drive(odometry, Twist(1, 0, 0), 250)
+    before = odometry.pose
+    jumped = odometry.update([0.0, 0.0, 0.0, 0.0], residual=None, dt=0.004, now_ns=251 * STEP_NS)
+    assert jumped == [0, 1, 2, 3]
+    assert odometry.pose == before
+    assert odometry.update([0.01, 0.01, -0.01, -0.01], residual=None, dt=0.004, now_ns=252 * STEP_NS) == []
+
+
+def test_a_late_frame_costs_nothing() -> None:
+    odometry = omni()
+    rates = OmniKinematics(POSES).wheel_speeds(Twist(1, 0, 0))
+    for step in (0, 1, 2, 20, 21):
+        odometry.update([rate * step * 0.004 for rate in rates], residual=None, dt=0.004, now_ns=step * STEP_NS)
+    assert odometry.pose.x == pytest.approx(0.084)
+
+
+def test_unknown_positions_are_not_zero() -> None:
+    odometry = omni()
+    odometry.update([None] * 4, residual=None, dt=0.004, now_ns=0)
+    drive(odometry, Twist(1, 0, 0), 10)
+    odometry.update([None] * 4, residual=None, dt=0.004, now_ns=11 * STEP_NS)
+    assert odometry.pose.x == pytest.approx(0.04)

@@ -1,0 +1,352 @@
+"""The recorder as the service sees it: never in the way, and honest about what it lost."""
+
+import os
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from drivers.interface import CanFrame
+from gateway import recorder as recorder_module
+from gateway.record import Record
+from gateway.recorder import NullRecorder, Recorder, RecorderError
+from gateway.recorder_disk import new_session, next_segment, prune, segments
+from replay.session import Session, open_session
+from tests.drives import drive
+from tests.recordings import STARTED_NS, expected, robot, robot_text, writer
+
+PATIENCE_S = 20.0
+STALLED = 6000  # cycles that fill the largest socket buffer
+
+
+@pytest.fixture
+def recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Recorder]:
+    """A recorder that replaces a dead process at the next poll."""
+    monkeypatch.setattr(recorder_module, "FIRST_BACKOFF_S", 0.0)
+    made = start(tmp_path)
+    yield made
+    made.close(PATIENCE_S)
+
+
+def start(directory: Path, **recording: object) -> Recorder:
+    return Recorder(robot(directory, **recording), robot_text(), "moby.toml")
+
+
+def put(recorder: Recorder, records: Sequence[Record]) -> None:
+    for record in records:
+        recorder.put(record.inputs, record.outputs, record.timing)
+
+
+def until(recorder: Recorder, condition: Callable[[], bool]) -> None:
+    """Polls at every report of the recorder process until the condition holds."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, recorder.health()
+        if recorder._child is not None:
+            recorder._child.wait_readable(0.05)
+        recorder.poll()
+
+
+def pid(recorder: Recorder) -> int:
+    assert recorder._child is not None
+    return recorder._child.pid
+
+
+def settled(recorder: Recorder) -> int:
+    child = recorder._child
+    return 0 if child is None or child.report is None else child.report.records
+
+
+def read(recorder: Recorder) -> Session:
+    assert recorder.session is not None
+    return open_session(recorder.session)
+
+
+def test_everything_put_is_on_the_disk_after_closing(tmp_path: Path) -> None:
+    records = list(drive(400))
+    recorder = start(tmp_path)
+    assert recorder.alive
+    assert recorder.session is not None
+    assert recorder.session.parent == tmp_path
+    put(recorder, records)
+    assert recorder.close()
+    assert not recorder.alive
+    session = read(recorder)
+    assert list(session.cycles()) == expected(records)
+    assert session.complete
+    assert session.gaps == ()
+    assert session.config_text == robot_text()
+    assert (recorder.dropped, recorder.error) == (0, None)
+    assert recorder.health() == {"session": str(recorder.session), "alive": False, "dropped": 0, "error": None}
+
+
+def test_batches_reach_the_disk_while_it_runs(recorder: Recorder) -> None:
+    put(recorder, list(drive(20)))
+    until(recorder, lambda: settled(recorder) == 20)
+    session = read(recorder)
+    assert not session.complete
+    assert list(session.cycles()) == expected(list(drive(20)))
+
+
+def test_the_service_never_waits_for_a_stopped_process(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder, "_backlog_limit", 60)
+    os.kill(pid(recorder), signal.SIGSTOP)
+    os.waitid(os.P_PID, pid(recorder), os.WSTOPPED | os.WNOWAIT)
+    records = list(drive(STALLED))
+    started = time.process_time()
+    put(recorder, records)
+    recorder.poll()
+    assert time.process_time() - started < 1.0
+    dropped = recorder.dropped
+    assert 0 < dropped < STALLED
+
+    os.kill(pid(recorder), signal.SIGCONT)
+    until(recorder, lambda: not recorder._backlog)
+    later = list(drive(50, first=STALLED))
+    put(recorder, later)
+    assert recorder.close()
+    session = read(recorder)
+    kept = STALLED - dropped
+    assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(kept, STALLED - 1)]
+    assert session.gaps[0].reason == "the recorder could not keep up"
+    assert list(session.cycles()) == expected(records[:kept] + later)
+    assert session.complete
+
+
+def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) -> None:
+    records = list(drive(300))
+    put(recorder, records[:100])
+    until(recorder, lambda: settled(recorder) == 100)
+    first = pid(recorder)
+    os.kill(first, signal.SIGSTOP)
+    put(recorder, records[100:150])
+    os.kill(first, signal.SIGKILL)
+    until(recorder, lambda: recorder._child is None)
+    assert not recorder.alive
+    assert recorder.error == "the recorder process ended (exit code -9)"
+    assert recorder.dropped == 50
+    put(recorder, records[150:])
+    until(recorder, lambda: settled(recorder) == 150)
+    assert pid(recorder) != first
+    assert recorder.error is None
+    assert recorder.close()
+    session = read(recorder)
+    assert len(session.segments) == 2
+    assert not session.complete
+    assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(100, 149)]
+    assert "exit code -9" in session.gaps[0].reason
+    assert list(session.cycles()) == expected(records[:100] + records[150:])
+    assert recorder.dropped == 50
+
+
+def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Recorder) -> None:
+    """A real one: the kernel refuses to let the file grow, as it does when the disk is full."""
+    records = list(drive(600))
+    put(recorder, records[:50])
+    until(recorder, lambda: settled(recorder) == 50)
+    size = segments(recorder.session or Path())[0].stat().st_size
+    first = pid(recorder)
+    resource.prlimit(first, resource.RLIMIT_FSIZE, (size + 5000, resource.RLIM_INFINITY))
+    put(recorder, records[50:350])
+    until(recorder, lambda: recorder._child is not None and pid(recorder) != first)
+    assert recorder.error is not None
+    assert "writing thread ended" in recorder.error
+    put(recorder, records[350:])
+    until(recorder, lambda: settled(recorder) == 250)
+    assert recorder.close()
+    session = read(recorder)
+    (gap,) = session.gaps
+    assert gap.last_cycle == 349
+    assert "exit code 75" in gap.reason
+    assert list(session.cycles()) == expected(records[: gap.first_cycle] + records[350:])
+
+
+def test_a_full_disk_pauses_the_recording(tmp_path: Path) -> None:
+    records = list(drive(300))
+    room = [10**9]
+    session = writer(tmp_path, free=lambda _: room[0])
+    session.write(records[:100])
+    assert session.report().error is None
+    room[0] = 999_999
+    session.write(records[100:150])
+    session.write(records[150:200])
+    report = session.report()
+    assert report.lost == 100
+    assert report.error is not None
+    assert report.error.startswith("disk full: 999999 bytes free")
+    room[0] = 10**9
+    session.write(records[200:])
+    assert session.report().error is None
+    session.close()
+    read = open_session(session.folder)
+    assert read.complete
+    assert len(read.segments) == 2
+    (gap,) = read.gaps
+    assert (gap.first_cycle, gap.last_cycle) == (100, 199)
+    assert gap.reason.startswith("disk full")
+    assert list(read.cycles()) == expected(records[:100] + records[200:])
+
+
+def test_no_room_at_the_start_does_not_stop_the_robot(tmp_path: Path) -> None:
+    recorder = start(tmp_path, min_free=10**13)
+    assert recorder.session is not None
+    assert recorder.error is not None
+    assert recorder.error.startswith("disk full")
+    put(recorder, list(drive(10)))
+    assert recorder.close()
+    assert recorder.dropped == 10
+
+
+def test_a_value_that_fits_no_column_costs_one_cycle(recorder: Recorder) -> None:
+    records = list(drive(40))
+    wild = records[17].inputs.commands[0:0] + records[0].inputs.commands
+    records[17] = Record(
+        records[17].inputs._replace(commands=tuple(command._replace(sequence=2**63) for command in wild)),
+        records[17].outputs,
+        records[17].timing,
+    )
+    records[30] = Record(
+        records[30].inputs._replace(bus_events=("\ud800",)),  # type: ignore[arg-type]
+        records[30].outputs,
+        records[30].timing,
+    )
+    put(recorder, records)
+    assert recorder.dropped == 1
+    assert recorder.close()
+    assert recorder.dropped == 2
+    session = read(recorder)
+    assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(17, 17), (30, 30)]
+    assert all(gap.reason.startswith("not recordable") for gap in session.gaps)
+
+
+def test_a_cycle_too_long_for_a_packet_is_a_gap(recorder: Recorder) -> None:
+    records = list(drive(3))
+    many = tuple(CanFrame("can0", 1, bytes(8)) for _ in range(60_000))
+    records[1] = Record(records[1].inputs._replace(frames=many), records[1].outputs, records[1].timing)
+    put(recorder, records)
+    assert recorder.dropped == 1
+    assert recorder.close()
+    (gap,) = read(recorder).gaps
+    assert (gap.first_cycle, gap.last_cycle) == (1, 1)
+    assert "too long for one packet" in gap.reason
+
+
+def test_rotation_by_size(tmp_path: Path) -> None:
+    recorder = start(tmp_path, segment_bytes=1_000_000)
+    records = list(drive(2000))
+    put(recorder, records[:1900])
+    until(recorder, lambda: settled(recorder) == 1900)
+    put(recorder, records[1900:])
+    assert recorder.close()
+    session = read(recorder)
+    assert [path.name for path in session.segments] == ["segment-00001.rrd", "segment-00002.rrd"]
+    assert list(session.cycles()) == expected(records)
+    assert session.complete
+
+
+def test_signals_and_descriptors_are_not_inherited(recorder: Recorder) -> None:
+    inner, outer = os.pipe()
+    os.set_inheritable(inner, True)
+    os.kill(pid(recorder), signal.SIGKILL)
+    until(recorder, lambda: recorder._child is None)
+    until(recorder, lambda: settled(recorder) == 0 and recorder.error is None)
+    held = {str(path.readlink()) for path in Path(f"/proc/{pid(recorder)}/fd").iterdir()}
+    assert str(Path(f"/proc/self/fd/{inner}").readlink()) not in held
+    os.close(inner)
+    os.close(outer)
+    os.kill(pid(recorder), signal.SIGTERM)
+    os.kill(pid(recorder), signal.SIGINT)
+    put(recorder, list(drive(10)))
+    assert recorder.close()
+    assert len(list(read(recorder).cycles())) == 10
+
+
+_DOOMED_SERVICE = """
+import os, signal, sys
+from pathlib import Path
+from tests.gateway.test_recorder import pid, put, start
+from tests.drives import drive
+recorder = start(Path(sys.argv[1]))
+put(recorder, list(drive(300)))
+print(pid(recorder), recorder.session, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_service_leaves_a_complete_session(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _DOOMED_SERVICE, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    process, folder = done.stdout.split()
+    wait_for_end(int(process))
+    session = open_session(Path(folder))
+    assert session.complete
+    assert list(session.cycles()) == expected(list(drive(300)))
+
+
+def wait_for_end(process: int) -> None:
+    """Of a process that is nobody's child any more."""
+    try:
+        descriptor = os.pidfd_open(process)
+    except ProcessLookupError:
+        return
+    ready, _, _ = select.select([descriptor], [], [], PATIENCE_S)
+    os.close(descriptor)
+    assert ready
+
+
+def test_rerun_switched_off_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    with pytest.raises(RecorderError, match="RERUN=off"):
+        start(tmp_path)
+
+
+def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(RecorderError, match="file"):
+        start(tmp_path / "file")
+
+
+def test_the_service_does_not_import_rerun() -> None:
+    code = "import sys, gateway.recorder; print({'rerun', 'rerun_bindings', 'pyarrow'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_null_recorder() -> None:
+    nothing = NullRecorder()
+    put(nothing, list(drive(1)))  # type: ignore[arg-type]
+    nothing.poll()
+    assert nothing.close()
+    assert nothing.health() == {"session": None, "alive": False, "dropped": 0, "error": None}
+
+
+def test_old_sessions_go_when_the_budget_is_used_up(tmp_path: Path) -> None:
+    sessions = [new_session(tmp_path, "moby", STARTED_NS + number * 60 * 10**9) for number in range(4)]
+    for session in sessions:
+        (session / "segment-00001.rrd").write_bytes(bytes(1000))
+    (sessions[1] / "notes.txt").write_text("keep me")
+    (tmp_path / "unrelated").mkdir()
+    assert prune(tmp_path, current=sessions[0], budget=2500) == sessions[1:3]
+    assert segments(sessions[0])
+    assert [path.name for path in sessions[1].iterdir()] == ["notes.txt"]
+    assert not sessions[2].exists()
+    assert prune(tmp_path, current=sessions[3], budget=10) == [sessions[0]]
+    assert segments(sessions[3])
+
+
+def test_names_of_sessions_and_segments(tmp_path: Path) -> None:
+    first, second = (new_session(tmp_path, "moby", STARTED_NS) for _ in range(2))
+    assert (first.name, second.name) == ("moby-20260921T141320Z", "moby-20260921T141320Z-2")
+    assert next_segment(first) == 1
+    for number in (2, 99_999, 100_000):
+        (first / f"segment-{number:05d}.rrd").touch()
+    assert [path.name for path in segments(first)][-1] == "segment-100000.rrd"
+    assert next_segment(first) == 100_001

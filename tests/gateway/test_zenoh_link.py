@@ -1,0 +1,488 @@
+"""Two sessions on loopback: what drives, what is refused, what is answered, and what happens at the end."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event as Flag
+from threading import Thread
+from typing import TypeVar
+
+import pytest
+import zenoh
+
+from gateway.client import Client
+from gateway.config import RobotConfig, parse
+from gateway.messages import (
+    EventMessage,
+    OdometryMessage,
+    ResetAnswer,
+    StateMessage,
+    TruthMessage,
+    encode_event,
+    encode_twist,
+)
+from gateway.types import (
+    Event,
+    Level,
+    Mode,
+    Odometry,
+    Pose,
+    Refusal,
+    RefusalCode,
+    Reply,
+    Request,
+    RequestKind,
+    Twist,
+    TwistCommand,
+    TwistFrame,
+)
+from gateway.zenoh_link import NO_ANSWER, NOT_EXACT, ZenohLink
+from gateway.zenoh_session import LinkError, Receivers, open_session
+from tests.gateway.test_messages import STATUS
+
+ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy
+TIMEOUT_S = 10.0
+TWIST = encode_twist(Twist(1.0, 0.0, 0.0))
+ODOMETRY = Odometry(Pose(1.0, 2.0, 0.5), None, (0.0,) * 9, None)
+
+_T = TypeVar("_T")
+
+
+def eventually(probe: Callable[[], _T]) -> _T:
+    """The first true answer of the probe; fails when none comes."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < deadline:
+        if answer := probe():
+            return answer
+        time.sleep(0.002)
+    pytest.fail("did not happen in time")
+
+
+@dataclass
+class Loop:
+    """A stand-in for the control loop: collects what it drains."""
+
+    link: ZenohLink
+    commands: list[TwistCommand] = field(default_factory=list)
+    refusals: list[Refusal] = field(default_factory=list)
+    requests: list[Request] = field(default_factory=list)
+
+    def cycle(self) -> None:
+        """One drain."""
+        commands, refusals, requests = self.link.drain(time.monotonic_ns())
+        self.commands += commands
+        self.refusals += refusals
+        self.requests += requests
+
+    def until(self, probe: Callable[[], _T]) -> _T:
+        """Cycles until the probe is true."""
+
+        def cycled() -> _T:
+            self.cycle()
+            return probe()
+
+        return eventually(cycled)
+
+
+@pytest.fixture
+def endpoint(free_port: int) -> str:
+    return f"tcp/127.0.0.1:{free_port}"
+
+
+@pytest.fixture
+def link(endpoint: str) -> Iterator[ZenohLink]:
+    with ZenohLink(_robot(endpoint), "# the robot file\n") as opened:
+        yield opened
+
+
+@pytest.fixture
+def loop(link: ZenohLink) -> Loop:
+    return Loop(link)
+
+
+@pytest.fixture
+def client(link: ZenohLink, endpoint: str) -> Iterator[Client]:
+    with Client("moby", connect=[endpoint]) as opened:
+        assert opened.wait_alive(TIMEOUT_S)
+        yield opened
+
+
+@pytest.fixture
+def stranger(client: Client, endpoint: str) -> Iterator[zenoh.Session]:
+    """A bare session that puts whatever it likes."""
+    session = open_session(listen=[], connect=[endpoint], max_message_size=1_000_000)
+    with session:
+        eventually(lambda: list(session.liveliness().get("moby/alive", timeout=0.1)))
+        yield session
+
+
+def _robot(endpoint: str) -> RobotConfig:
+    return parse(ROBOT_FILE.read_text().replace("tcp/127.0.0.1:7447", endpoint), str(ROBOT_FILE))
+
+
+def _one_refusal(loop: Loop) -> Refusal:
+    loop.until(lambda: loop.refusals)
+    assert not loop.commands
+    assert len(loop.refusals) == 1
+    return loop.refusals[0]
+
+
+def test_a_command_arrives_with_its_arrival_time(loop: Loop, client: Client) -> None:
+    before_ns = time.monotonic_ns()
+    client.send_twist(0.5, -0.25, 0.125, source="teleop", frame=TwistFrame.ODOM, sequence=3)
+    loop.until(lambda: loop.commands)
+    command = loop.commands[0]
+    assert command[:4] == ("teleop", Twist(0.5, -0.25, 0.125), TwistFrame.ODOM, 3)
+    assert before_ns < command.received_ns <= time.monotonic_ns()
+    assert not loop.refusals
+
+
+def test_the_client_counts(loop: Loop, client: Client) -> None:
+    for expected in (1, 2):
+        client.send_twist(0.0, 0.0, 0.0, source="teleop")
+        loop.until(lambda count=expected: len(loop.commands) == count)  # type: ignore[misc]
+    first, second = (command.sequence for command in loop.commands)
+    assert first is not None
+    assert second == first + 1
+
+
+def test_a_slow_loop_does_not_get_stale_commands(loop: Loop, stranger: zenoh.Session) -> None:
+    for sequence in range(200):
+        payload = encode_twist(Twist(0.1, 0.0, 0.0), sequence=sequence)
+        stranger.put("moby/cmd/twist/teleop", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+    waiting = loop.link._mailbox.commands["teleop"]
+    eventually(lambda: waiting and waiting[0].sequence == 199)
+    loop.cycle()
+    assert [command.sequence for command in loop.commands] == [199]
+    assert time.monotonic_ns() - loop.commands[0].received_ns < 1e9
+    stranger.put("moby/cmd/twist/autonomy", TWIST)
+    loop.until(lambda: loop.commands[1:])
+    assert [command.source for command in loop.commands] == ["teleop", "autonomy"]
+
+
+def test_a_slow_reader_gets_the_newest_and_holds_up_nobody(endpoint: str) -> None:
+    receivers = Receivers(open_session(listen=[endpoint], connect=[], max_message_size=1000))
+    reading, go_on, seen, others = Flag(), Flag(), list[bytes](), list[bytes]()
+
+    def read_slowly(sample: zenoh.Sample) -> None:
+        reading.set()
+        assert go_on.wait(TIMEOUT_S)
+        seen.append(sample.payload.to_bytes())
+
+    receivers.subscribe("slow", read_slowly)
+    receivers.subscribe("other", lambda sample: others.append(sample.payload.to_bytes()))
+    with open_session(listen=[], connect=[endpoint], max_message_size=1000) as session:
+
+        def first_is_read() -> bool:
+            session.put("slow", b"first")
+            return reading.wait(0.05)
+
+        eventually(first_is_read)
+        for count in range(500):
+            session.put("slow", str(count).encode(), congestion_control=zenoh.CongestionControl.BLOCK)
+        session.put("other", b"not held up")
+        eventually(lambda: others)
+        go_on.set()
+        eventually(lambda: len(seen) == 2)
+    receivers.close()
+    assert seen == [b"first", b"499"]
+
+
+def test_a_stop_arrives_while_commands_flood(loop: Loop, client: Client, stranger: zenoh.Session) -> None:
+    done = Flag()
+
+    def flood() -> None:
+        while not done.is_set():
+            stranger.put("moby/cmd/twist/teleop", TWIST, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    flooding = Thread(target=flood)
+    flooding.start()
+    try:
+        loop.until(lambda: loop.commands)
+        sent_ns = time.monotonic_ns()
+        assert client.stop()
+        loop.until(lambda: loop.requests)
+    finally:
+        done.set()
+        flooding.join()
+    assert loop.requests[0].kind is RequestKind.ESTOP
+    assert loop.requests[0].received_ns - sent_ns < 1e9
+
+
+@pytest.mark.parametrize(
+    "key", ["moby/cmd/stop", "moby/cmd/*", "**", "*/cmd/stop", "moby/**"], ids=lambda key: key.replace("*", "x")
+)
+@pytest.mark.parametrize("put", [True, False], ids=["put", "delete"])
+def test_whatever_reaches_the_stop_key_stops(loop: Loop, stranger: zenoh.Session, key: str, put: bool) -> None:
+    if put:
+        stranger.put(key, b"\xff" * 2000)
+    else:
+        stranger.delete(key)
+    loop.until(lambda: loop.requests)
+    assert loop.requests[0].kind is RequestKind.ESTOP
+    assert loop.requests[0].id == 0
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["moby/cmd/twist/*", "*/cmd/twist/*", "moby/*/twist/teleop", "moby/cmd/twist/tele$*", "moby/cmd/**", "**"],
+    ids=lambda key: key.replace("*", "x"),
+)
+def test_a_wildcard_never_drives(loop: Loop, stranger: zenoh.Session, key: str) -> None:
+    stranger.put(key, TWIST)
+    loop.until(lambda: loop.refusals)
+    assert loop.refusals[0].code is RefusalCode.KEY_NOT_EXACT
+    assert key in loop.refusals[0].text
+    for source in ("teleop", "autonomy"):  # comes after the wildcard in the same ring
+        stranger.put(f"moby/cmd/twist/{source}", encode_twist(Twist(0.0, 0.0, 0.0), sequence=1))
+    loop.until(lambda: len(loop.commands) >= 2)
+    assert [command.sequence for command in loop.commands] == [1, 1]
+
+
+@pytest.mark.parametrize("key", ["moby/cmd/twist/teleop", "moby/cmd/twist/*"], ids=["exact", "wildcard"])
+def test_a_delete_is_refused(loop: Loop, stranger: zenoh.Session, key: str) -> None:
+    stranger.delete(key)
+    refusal = _one_refusal(loop)
+    assert refusal.code is RefusalCode.NOT_A_PUT
+    assert "must be a put" in refusal.text
+
+
+@pytest.mark.parametrize(
+    ("payload", "code"),
+    [
+        (b" " * 2000, RefusalCode.TOO_LONG),
+        (b"hello", RefusalCode.MALFORMED),
+        (b'{"vx":NaN,"vy":0,"wz":0}', RefusalCode.NOT_FINITE),
+    ],
+)
+def test_a_bad_payload_is_refused(loop: Loop, stranger: zenoh.Session, payload: bytes, code: RefusalCode) -> None:
+    stranger.put("moby/cmd/twist/teleop", payload)
+    refusal = _one_refusal(loop)
+    assert (refusal.source, refusal.code) == ("teleop", code)
+
+
+def test_a_huge_message_is_dropped_and_the_link_lives_on(loop: Loop, client: Client, stranger: zenoh.Session) -> None:
+    stranger.put("moby/cmd/twist/teleop", b" " * 500_000)
+    client.send_twist(0.0, 0.0, 0.0, source="teleop")
+    loop.until(lambda: loop.commands)
+    assert not loop.refusals
+
+
+@pytest.mark.parametrize("rest", ["twist/ghost", "dance", "reset", "twist/teleop/more"])
+def test_an_unknown_source_is_refused(loop: Loop, stranger: zenoh.Session, rest: str) -> None:
+    stranger.put(f"moby/cmd/{rest}", TWIST)
+    refusal = _one_refusal(loop)
+    assert refusal.code is RefusalCode.UNKNOWN_SOURCE
+    assert refusal.text == f"put on moby/cmd/{rest}: the sources are teleop, autonomy"
+
+
+def test_an_old_sequence_is_refused(loop: Loop, client: Client) -> None:
+    client.send_twist(0.0, 0.0, 0.0, source="teleop", sequence=5)
+    client.send_twist(0.1, 0.0, 0.0, source="autonomy", sequence=5)  # each source counts for itself
+    loop.until(lambda: len(loop.commands) == 2)
+    client.send_twist(1.0, 0.0, 0.0, source="autonomy", sequence=5)
+    loop.until(lambda: loop.refusals)
+    assert (loop.refusals[0].source, loop.refusals[0].code) == ("autonomy", RefusalCode.OLD_SEQUENCE)
+    assert len(loop.commands) == 2
+
+
+def test_a_reset_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        for ok, reason in ((True, None), (False, "motor left has a fault")):
+            asking = pool.submit(client.reset, TIMEOUT_S)
+            loop.until(lambda: loop.requests)
+            request = loop.requests.pop()
+            assert request.kind is RequestKind.RESET
+            loop.link.reply(Reply(request.id - 1, True, "an answer that came too late for its own question"))
+            loop.link.reply(Reply(request.id, ok, reason))
+            assert asking.result() == ResetAnswer(ok, reason)
+
+
+def test_a_reset_the_loop_ignores_is_answered_all_the_same(client: Client) -> None:
+    assert client.reset(TIMEOUT_S) == ResetAnswer(False, NO_ANSWER.reason)
+
+
+def test_looking_around_resets_nothing(loop: Loop, stranger: zenoh.Session) -> None:
+    replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
+    answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
+    assert NOT_EXACT.reason is not None
+    assert NOT_EXACT.reason in answers["moby/cmd/reset"]
+    loop.cycle()
+    assert not loop.requests
+
+
+def test_status_and_robot_file_are_answered(link: ZenohLink, client: Client) -> None:
+    assert client.config_text(TIMEOUT_S) == "# the robot file\n"
+    assert client.status(TIMEOUT_S) is None
+    link.publish(odometry=None, status=STATUS, events=(), now_ns=2_000_000_000, extras={"recording": "healthy"})
+    expected = StateMessage(2.0, STATUS, {"recording": "healthy"})
+    assert eventually(lambda: client.status(TIMEOUT_S)) == expected
+
+
+def test_what_the_loop_says_is_published(link: ZenohLink, client: Client) -> None:
+    event = Event(Level.WARNING, "slip", "wheel left slips")
+    link.publish(odometry=ODOMETRY, status=STATUS, events=[event], now_ns=1_000_000_000)
+    link.publish_truth(Pose(1.0, 2.0, 3.0), 1.0)
+    state = client.wait_for_state(lambda message: message.status.mode is Mode.DEGRADED, TIMEOUT_S)
+    assert state == StateMessage(1.0, STATUS, {})
+    assert eventually(client.odometry) == OdometryMessage(1.0, 1.0, 2.0, 0.5, None, None, None, (0.0,) * 9, None)
+    assert eventually(client.truth) == TruthMessage(1.0, 1.0, 2.0, 3.0)
+    assert eventually(client.events) == [EventMessage(1.0, *event)]
+    assert client.events() == []
+
+
+def test_only_what_is_put_on_its_exact_key_reaches_the_client(link: ZenohLink, client: Client) -> None:
+    forged, real = (encode_event(Event(Level.INFO, code, ""), 0) for code in ("forged", "real"))
+    for key, payload in (("**", forged), ("**", b"garbage"), ("moby/event", b"garbage"), ("moby/event", real)):
+        link._session.put(key, payload)  # peers of the gateway do not hear each other, only the gateway
+    assert [event.code for event in eventually(client.events)] == ["real"]
+
+
+def test_the_last_words_are_published_before_the_end(link: ZenohLink, client: Client) -> None:
+    link.publish(odometry=None, status=STATUS, events=[Event(Level.INFO, "end", "bye")], now_ns=1)
+    link.close()
+    assert eventually(client.events)[0].code == "end"
+    assert client.wait_for_state(lambda message: message.status == STATUS, TIMEOUT_S)
+
+
+def test_no_state_in_time_is_none(client: Client) -> None:
+    assert client.wait_for_state(lambda _: True, 0.01) is None
+
+
+def test_zero_on_exit(link: ZenohLink, endpoint: str) -> None:
+    loop = Loop(link)
+    with Client("moby", connect=[endpoint], zero_on_exit=True) as client:
+        assert client.wait_alive(TIMEOUT_S)
+        client.send_twist(1.0, 0.0, 0.0, source="teleop")
+        loop.until(lambda: loop.commands)
+    loop.until(lambda: loop.commands[1:])
+    assert [command.twist.vx for command in loop.commands] == [1.0, 0.0]
+
+
+def test_the_token_comes_and_goes_and_the_client_finds_the_next_gateway(endpoint: str) -> None:
+    with Client("moby", connect=[endpoint]) as client:
+        assert not client.alive
+        assert not client.stop(timeout=0.01)
+        assert client.reset(timeout=0.01) == ResetAnswer(False, "no answer from moby within 0.01 s")
+        for _ in range(2):
+            with ZenohLink(_robot(endpoint), ""):
+                assert client.wait_alive(TIMEOUT_S)
+            eventually(lambda: not client.alive)
+
+
+def test_a_port_in_use_is_named(link: ZenohLink, endpoint: str) -> None:
+    with pytest.raises(LinkError, match=rf"listen = \['{endpoint}'\].*Address already in use"):
+        ZenohLink(_robot(endpoint), "")
+    assert link.drain(0) == ((), (), ())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ("tcp/127.0.0.1", "invalid socket address"),
+        ("tcp/127.0.0.1:99999", "invalid port"),
+        ("smoke/signals:1", "smoke"),
+        ("nothing", "Endpoints must be of the form"),
+    ],
+)
+def test_a_wrong_endpoint_is_named(wrong: str, why: str) -> None:
+    with pytest.raises(LinkError, match=f"{wrong}.*{why}") as caught:
+        ZenohLink(_robot(wrong), "")
+    assert "cargo" not in str(caught.value)
+
+
+def test_a_config_file_that_is_missing_is_named() -> None:
+    with pytest.raises(LinkError, match=r"config_file = /no/such\.json5"):
+        open_session(listen=[], connect=[], max_message_size=1000, config_file="/no/such.json5")
+
+
+def test_a_config_file_counts_but_not_against_the_robot_file(tmp_path: Path, endpoint: str) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text('{mode: "router", /* as JSON5 */ listen: {endpoints: ["tcp/0.0.0.0:1"]}, namespace: "hall"}')
+    config = _robot(endpoint)
+    zenoh_section = config.zenoh.model_copy(update={"config_file": str(file)})
+    with (
+        ZenohLink(config.model_copy(update={"zenoh": zenoh_section}), "text"),
+        open_session(listen=[], connect=[endpoint], max_message_size=1000) as session,
+    ):
+        eventually(lambda: list(session.get("hall/moby/config", timeout=1.0)))
+
+
+def test_a_name_that_would_address_others_is_refused(client: Client) -> None:
+    with pytest.raises(LinkError, match=r"name = '\*'"):
+        Client("*")
+    with pytest.raises(LinkError, match="name = 'a/b'"):
+        client.send_twist(0.0, 0.0, 0.0, source="a/b")
+
+
+def test_the_loop_learns_that_the_session_has_ended(link: ZenohLink) -> None:
+    link._session.close()  # type: ignore[no-untyped-call]
+    with pytest.raises(LinkError, match=r"thread ended: moby/.*: channel closed"):
+        eventually(lambda: link.drain(0).commands)
+
+
+def test_close_twice(link: ZenohLink) -> None:
+    link.close()
+    link.close()
+    assert not any(thread.is_alive() for thread in link._receivers._threads)
+
+
+@pytest.mark.parametrize("ending", ["", "raise SystemExit(3)"], ids=["end", "exit"])
+def test_the_process_ends_without_close(endpoint: str, ending: str) -> None:
+    with _process(f'link = ZenohLink(_robot({endpoint!r}), "")', endpoint, ending) as process:
+        _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, errors) == (3 if ending else 0, "")
+
+
+def test_a_killed_gateway_is_no_longer_alive(endpoint: str) -> None:
+    with _process(f'link = ZenohLink(_robot({endpoint!r}), "")', endpoint, "signal.pause()") as process:
+        with Client("moby", connect=[endpoint]) as client:
+            assert client.wait_alive(TIMEOUT_S)
+            process.kill()
+            eventually(lambda: not client.alive)
+        process.communicate(timeout=TIMEOUT_S)
+
+
+def test_a_frozen_onlooker_holds_up_neither_the_loop_nor_the_end(link: ZenohLink, endpoint: str) -> None:
+    with _process("", endpoint, "signal.pause()") as process:
+        process.send_signal(signal.SIGSTOP)
+        slowest_s = 0.0
+        for _ in range(400):  # 20 MB: more than the sockets' buffers hold
+            started = time.perf_counter()
+            link.publish(odometry=None, status=STATUS, events=(), now_ns=0, extras={"ballast": "x" * 50_000})
+            slowest_s = max(slowest_s, time.perf_counter() - started)
+            eventually(link._outbox.calls.empty)
+        started = time.perf_counter()
+        link.close()
+        assert time.perf_counter() - started < 6.0
+        assert slowest_s < 0.5
+        process.kill()
+        process.communicate(timeout=TIMEOUT_S)
+
+
+def _process(opening: str, endpoint: str, ending: str) -> subprocess.Popen[str]:
+    """Another interpreter with a client (and what else it opens), ready and on its way to its ending."""
+    script = f"""
+import signal
+from tests.gateway.test_zenoh_link import Client, ZenohLink, _robot
+{opening}
+client = Client("moby", connect=[{endpoint!r}])
+assert client.wait_alive({TIMEOUT_S})
+print("ready", flush=True)
+{ending}
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", script],
+        cwd=ROBOT_FILE.parents[2],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process

@@ -1,0 +1,59 @@
+"""Sessions made for tests: written by the recorder's own writer, in this process or in its own."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gateway.config import RobotConfig, parse
+from gateway.record import Gap, Hello, Record
+from gateway.recorder_writer import SessionWriter
+from gateway.types import Inputs
+from replay.session import RecordedOutputs
+
+ROBOT_FILE = Path(__file__).parent.parent / "deploy" / "robots" / "moby.toml"
+STARTED_NS = 1_790_000_000_123_456_789
+PLENTY = 10**15
+
+
+def robot_text() -> str:
+    return ROBOT_FILE.read_text(encoding="utf-8")
+
+
+def robot(directory: Path, **recording: object) -> RobotConfig:
+    config = parse(robot_text(), "moby.toml")
+    settings = config.recording.model_copy(
+        update={"directory": str(directory), "min_free": 1_000_000, **recording}, deep=True
+    )
+    return config.model_copy(update={"recording": settings})
+
+
+def hello(config: RobotConfig, folder: Path | None = None) -> Hello:
+    return Hello(
+        config_json=config.model_dump_json(),
+        config_text=robot_text(),
+        config_origin="moby.toml",
+        folder=None if folder is None else str(folder),
+        started_wall_ns=STARTED_NS,
+        wall_minus_mono_ns=STARTED_NS - 5_000_000_000,
+    )
+
+
+def writer(
+    directory: Path, *, free: Callable[[Path], int] = lambda _: PLENTY, folder: Path | None = None, **recording: object
+) -> SessionWriter:
+    config = robot(directory, **recording)
+    return SessionWriter(config, hello(config, folder), free=free)
+
+
+def write(directory: Path, records: Sequence[Record], *, batch: int = 100, gaps: Sequence[Gap] = ()) -> Path:
+    """A closed session of one segment."""
+    session = writer(directory)
+    session.write(records[:batch], gaps)
+    for start in range(batch, len(records), batch):
+        session.write(records[start : start + batch])
+    session.close()
+    return session.folder
+
+
+def expected(records: Sequence[Record]) -> list[tuple[Inputs, RecordedOutputs]]:
+    """What a reader must give back."""
+    return [(record.inputs, RecordedOutputs.of(record.outputs)) for record in records]

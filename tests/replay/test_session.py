@@ -1,0 +1,394 @@
+"""Write, read back, compare: exact values, damaged files, gaps, segments."""
+
+import math
+import random
+import shutil
+import struct
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import pytest
+import rerun as rr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.interface import CanFrame
+from gateway.record import Gap, Record
+from gateway.recorder_columns import arrays
+from gateway.session_schema import APPLICATION_ID, HEADER_ARCHETYPE, HEADER_COLUMNS, HEADER_PATH, SCHEMA_VERSION
+from gateway.types import (
+    ZERO_TWIST,
+    BusEvent,
+    BusEventKind,
+    CycleTiming,
+    Event,
+    Inputs,
+    Level,
+    Mode,
+    MotorStatus,
+    Odometry,
+    Outputs,
+    Pose,
+    Refusal,
+    RefusalCode,
+    Reply,
+    Request,
+    RequestKind,
+    SourceStatus,
+    Status,
+    Trace,
+    Twist,
+    TwistCommand,
+    TwistFrame,
+)
+from replay.repair import repair
+from replay.session import SessionError, open_session
+from tests.drives import drive
+from tests.recordings import STARTED_NS, expected, robot_text, write, writer
+
+EMPTY_TRACE = Trace(
+    target=ZERO_TWIST,
+    setpoint=ZERO_TWIST,
+    measured=None,
+    pose=Pose(0.0, 0.0, 0.0),
+    wheel_setpoints=(None,) * 3,
+    wheel_speeds=(None,) * 3,
+    wheel_positions=(None,) * 3,
+    winner_age_s=None,
+    residual=None,
+)
+EMPTY_OUTPUTS = Outputs((), Mode.IDLE, (), (), None, None, EMPTY_TRACE, finished=False)
+TIMING = CycleTiming(0, 1, STARTED_NS)
+STATUS = Status(
+    mode=Mode.DRIVE,
+    reason=None,
+    faults=(),
+    winner="teleop",
+    winner_age_s=0.01,
+    sources=(SourceStatus("teleop", 0.01, None),),
+    motors=(MotorStatus("left", "operational", 1.0, None, None, None, None, None, 0.001),),
+    limits_active=("vx",),
+    standing=False,
+    pose=Pose(0.0, 0.0, 0.0),
+    twist=None,
+    refused=0,
+    tx_dropped=0,
+    overruns=0,
+    dropped_records=0,
+    cycle=3,
+)
+
+integers = st.integers(-(2**63), 2**63 - 1)
+nanoseconds = st.integers(0, 2**62)
+numbers = st.floats(allow_nan=False)  # NaN is never equal to itself; it has its own test
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+twists = st.builds(Twist, numbers, numbers, numbers)
+poses = st.builds(Pose, numbers, numbers, numbers)
+frames = st.builds(
+    CanFrame,
+    texts,
+    st.integers(0, 2**29 - 1),
+    st.binary(max_size=8),
+    st.booleans(),
+    st.booleans(),
+    st.none() | integers,
+)
+inputs = st.builds(
+    Inputs,
+    cycle=st.just(0),
+    now_ns=nanoseconds,
+    frames=st.lists(frames, max_size=4).map(tuple),
+    commands=st.lists(
+        st.builds(TwistCommand, texts, twists, st.sampled_from(TwistFrame), st.none() | integers, integers), max_size=2
+    ).map(tuple),
+    refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
+    requests=st.lists(st.builds(Request, st.sampled_from(RequestKind), integers, integers), max_size=2).map(tuple),
+    bus_events=st.lists(st.builds(BusEvent, texts, st.sampled_from(BusEventKind), integers, texts), max_size=2).map(
+        tuple
+    ),
+    overruns=st.integers(0, 2**40),
+    dropped_records=st.integers(0, 2**40),
+)
+outputs = st.builds(
+    EMPTY_OUTPUTS._replace,
+    frames=st.lists(frames, max_size=4).map(tuple),
+    mode=st.sampled_from(Mode),
+    events=st.lists(st.builds(Event, st.sampled_from(Level), texts, texts), max_size=2).map(tuple),
+    replies=st.lists(st.builds(Reply, integers, st.booleans(), st.none() | texts), max_size=2).map(tuple),
+    odometry=st.none()
+    | st.builds(Odometry, poses, st.none() | twists, st.lists(numbers, max_size=9).map(tuple), st.none() | numbers),
+    finished=st.booleans(),
+)
+
+
+def numbered(pairs: list[tuple[Inputs, Outputs]]) -> list[Record]:
+    return [Record(before._replace(cycle=cycle), after, TIMING) for cycle, (before, after) in enumerate(pairs)]
+
+
+def one(inputs: Inputs, outputs: Outputs = EMPTY_OUTPUTS) -> Record:
+    return Record(inputs, outputs, TIMING)
+
+
+def test_a_drive_comes_back_as_it_was(tmp_path: Path) -> None:
+    records = list(drive(700))
+    session = open_session(write(tmp_path, records, batch=250))
+    assert session.cycle_count == 700
+    assert list(session.cycles()) == expected(records)
+    assert session.complete
+    assert session.gaps == ()
+    assert session.cycle_count == 700
+
+
+def test_header(tmp_path: Path) -> None:
+    session = open_session(write(tmp_path, list(drive(3))))
+    header = session.header
+    assert session.config_text == robot_text()
+    assert (header.schema_version, header.robot, header.segment) == (SCHEMA_VERSION, "moby", 1)
+    assert (header.started_wall_ns, header.wall_minus_mono_ns) == (STARTED_NS, STARTED_NS - 5_000_000_000)
+    assert header.session == session.path.name == "moby-20260921T141320Z"
+    assert header.versions["rerun-sdk"] == rr.__version__
+    assert len(header.config_sha256) == 64
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(pairs=st.lists(st.tuples(inputs, outputs), min_size=1, max_size=6), batch=st.integers(1, 6))
+def test_any_values_round_trip(tmp_path: Path, pairs: list[tuple[Inputs, Outputs]], batch: int) -> None:
+    records = numbered(pairs)
+    folder = write(tmp_path, records, batch=batch)
+    session = open_session(folder)
+    assert list(session.cycles()) == expected(records)
+    assert session.gaps == ()
+    shutil.rmtree(folder)
+
+
+def test_edges_of_frames(tmp_path: Path) -> None:
+    frames = (
+        CanFrame("can0", 0, b""),
+        CanFrame("can1", 0x7FF, b"", remote=True, received_ns=0),
+        CanFrame("can0", 2**29 - 1, bytes(8), extended=True, received_ns=2**63 - 1),
+        CanFrame("", 1, b"\0\xff", extended=True, remote=True),
+    )
+    records = [one(Inputs(0, 1, frames), EMPTY_OUTPUTS._replace(frames=frames)), one(Inputs(1, 2))]
+    assert list(open_session(write(tmp_path, records)).cycles()) == expected(records)
+
+
+def test_unknown_is_neither_nan_nor_zero_nor_empty(tmp_path: Path) -> None:
+    def said(residual: float | None, twist: Twist | None, reason: str | None) -> Outputs:
+        odometry = Odometry(Pose(-0.0, 0.0, math.inf), twist, (), residual)
+        return EMPTY_OUTPUTS._replace(odometry=odometry, replies=(Reply(1, ok=False, reason=reason),))
+
+    cases = [
+        said(None, None, None),
+        said(math.nan, Twist(math.nan, 0.0, 0.0), ""),
+        said(0.0, ZERO_TWIST, "ä\0\N{GRINNING FACE}"),
+        EMPTY_OUTPUTS,
+    ]
+    records = [one(Inputs(cycle, cycle), outputs) for cycle, outputs in enumerate(cases)]
+    read = [outputs for _, outputs in open_session(write(tmp_path, records)).cycles()]
+    assert [outputs.replies for outputs in read] == [case.replies for case in cases]
+    assert read[3].odometry is None
+    for outputs, case in zip(read[:3], cases[:3], strict=True):
+        assert outputs.odometry is not None
+        assert repr(outputs.odometry) == repr(case.odometry)  # equal to the last sign, and NaN where it was NaN
+
+
+def test_floats_are_exact_to_the_bit(tmp_path: Path) -> None:
+    generator = random.Random(1)
+    values = [struct.unpack("<d", generator.randbytes(8))[0] for _ in range(300)]
+    values = [value for value in values if not math.isnan(value)] + [5e-324, 1.7976931348623157e308, 0.1]
+    records = [
+        one(Inputs(cycle, cycle), EMPTY_OUTPUTS._replace(odometry=Odometry(Pose(value, 0, 0), None, (value,), value)))
+        for cycle, value in enumerate(values)
+    ]
+    read = [outputs.odometry for _, outputs in open_session(write(tmp_path, records)).cycles()]
+    assert [struct.pack("<d", odometry.pose.x) for odometry in read if odometry] == [
+        struct.pack("<d", value) for value in values
+    ]
+
+
+def test_status_is_written_for_people(tmp_path: Path) -> None:
+    records = [one(Inputs(0, 0), EMPTY_OUTPUTS._replace(status=STATUS))]
+    folder = write(tmp_path, records)
+    assert list(open_session(folder).cycles()) == expected(records)
+    found = list(rr.chunk.RrdReader(folder / "segment-00001.rrd").stream().filter(content="/outputs/status"))
+    text = found[0].to_record_batch().column("Status:json").to_pylist()[0][0]
+    assert msgspec.json.decode(text)["motors"][0]["name"] == "left"
+
+
+def test_rotation_keeps_order_and_header(tmp_path: Path) -> None:
+    records = list(drive(600))
+    session = writer(tmp_path, segment_bytes=60_000)
+    for start in range(0, 600, 50):
+        session.write(records[start : start + 50])
+    session.close()
+    read = open_session(session.folder)
+    assert len(read.segments) > 2
+    assert list(read.cycles()) == expected(records)
+    assert read.complete
+    assert read.gaps == ()
+    for number, segment in enumerate(read.segments, start=1):
+        alone = open_session(segment)
+        assert alone.config_text == robot_text()
+        assert alone.header.segment == number
+        assert all(cycles in expected(records) for cycles in alone.cycles())
+
+
+def test_marked_and_unmarked_gaps(tmp_path: Path) -> None:
+    records = list(drive(100))
+    kept = [record for record in records[5:90] if record.inputs.cycle not in range(20, 30)]
+    kept = [record for record in kept if record.inputs.cycle != 50]
+    markers = [Gap(0, 4, "before"), Gap(18, 25, "slow"), Gap(26, 29, "full"), Gap(60, 61, "not so"), Gap(88, 99, "end")]
+    session = open_session(write(tmp_path, kept, gaps=markers))
+    assert list(session.gaps) == [
+        Gap(0, 4, "before"),
+        Gap(20, 29, "slow; full"),
+        Gap(50, 50, "not in the recording"),
+        Gap(90, 99, "end"),
+    ]
+    assert list(session.cycles()) == expected(kept)
+
+
+def test_a_session_of_nothing_but_a_gap(tmp_path: Path) -> None:
+    session = writer(tmp_path)
+    session.write((), [Gap(0, 9, "full")])
+    session.close()
+    read = open_session(session.folder)
+    assert list(read.cycles()) == []
+    assert read.gaps == (Gap(0, 9, "full"),)
+    assert read.cycle_count == 0
+
+
+def test_cut_anywhere_the_whole_prefix_is_read(tmp_path: Path) -> None:
+    """Cut at the end of every eleventh message, shortly before and after, in its middle, and at random places."""
+    records = list(drive(60))
+    path = write(tmp_path, records, batch=10) / "segment-00001.rrd"
+    data = path.read_bytes()
+    ends = message_ends(data)
+    generator = random.Random(2)
+    cuts = {end + offset for end in ends[::11] for offset in (-1, 0, 1, 8, 20)}
+    cuts |= {generator.randrange(100, len(data)) for _ in range(25)}
+    whole = expected(records)
+    lengths = []
+    for cut in sorted(cut for cut in cuts if cut < len(data)):
+        path.write_bytes(data[:cut])
+        try:
+            session = open_session(path)
+        except SessionError as error:
+            assert "no header" in str(error) or "not a Rerun file" in str(error)
+            lengths.append(0)
+            continue
+        read = list(session.cycles())
+        assert read == whole[: len(read)]
+        assert not session.complete
+        lengths.append(len(read))
+    assert lengths == sorted(lengths)
+    assert set(lengths) == {0, 10, 20, 30, 40, 50, 60}
+
+
+def message_ends(data: bytes) -> list[int]:
+    place, ends = 12, []
+    while place + 16 <= len(data):
+        kind, length = struct.unpack_from("<QQ", data, place)
+        if kind == 0:
+            break
+        place += 16 + length
+        ends.append(place)
+    return ends
+
+
+def test_zeros_at_the_end_after_a_power_cut(tmp_path: Path) -> None:
+    records = list(drive(60))
+    path = write(tmp_path, records, batch=20) / "segment-00001.rrd"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2].ljust(len(data), b"\0"))
+    session = open_session(path)
+    read = list(session.cycles())
+    assert 0 < len(read) < 60
+    assert read == expected(records)[: len(read)]
+    assert not session.complete
+
+
+def test_a_spoilt_message_costs_at_most_its_batch(tmp_path: Path) -> None:
+    """Every other message in turn; one that carries the identity of the file may cost all."""
+    records = list(drive(60))
+    path = write(tmp_path, records, batch=20) / "segment-00001.rrd"
+    data = path.read_bytes()
+    ends = message_ends(data)
+    whole = expected(records)
+    lengths = Counter[int]()
+    for start, end in list(pairwise(ends))[::2]:
+        spoilt = bytearray(data)
+        spoilt[(start + end) // 2 : end] = bytes(end - (start + end) // 2)
+        path.write_bytes(spoilt)
+        try:
+            session = open_session(path)
+            read = list(session.cycles())
+        except SessionError:
+            lengths[-1] += 1
+            continue
+        assert session.complete == (len(read) == 60)
+        assert all(pair in whole for pair in read)
+        lengths[len(read)] += 1
+    assert lengths.pop(-1, 0) < 3
+    assert min(lengths) == 40
+    assert sum(count for length, count in lengths.items() if length < 60) > 8
+
+
+def test_random_damage_never_escapes_as_anything_but_a_session_error(tmp_path: Path) -> None:
+    path = write(tmp_path, list(drive(40)), batch=20) / "segment-00001.rrd"
+    data = path.read_bytes()
+    generator = random.Random(3)
+    for _ in range(60):
+        spoilt = bytearray(data)
+        for _ in range(generator.randrange(1, 4)):
+            spoilt[generator.randrange(len(spoilt))] ^= 1 << generator.randrange(8)
+        path.write_bytes(spoilt)
+        try:
+            session = open_session(path)
+            assert len(list(session.cycles())) <= 40
+        except SessionError:
+            continue
+
+
+def test_repair_leaves_a_file_that_the_viewer_opens(tmp_path: Path) -> None:
+    path = write(tmp_path, list(drive(40)), batch=20) / "segment-00001.rrd"
+    data = path.read_bytes()
+    cut_at = message_ends(data)[-1] - 1
+    path.write_bytes(data[:cut_at])
+    cut = repair(path, tmp_path / "repaired.rrd")
+    assert cut == (len(message_ends(data)) - 1, 0, cut_at - message_ends(data)[-2])
+    assert len(list(open_session(tmp_path / "repaired.rrd").cycles())) == 20
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"", "not a Rerun file"), (b"hello, this is no recording at all", "not a Rerun file")],
+)
+def test_not_a_recording(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "segment-00001.rrd"
+    path.write_bytes(content)
+    with pytest.raises(SessionError, match=words):
+        open_session(path)
+
+
+def test_not_a_session(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=r"there is no segment-\*\.rrd"):
+        open_session(tmp_path)
+    with pytest.raises(SessionError, match="cannot be read: No such file"):
+        open_session(tmp_path / "missing.rrd")
+
+
+@pytest.mark.parametrize(("version", "words"), [(None, "no header"), (999, "session schema 999; this version")])
+def test_foreign_recordings(tmp_path: Path, version: int | None, words: str) -> None:
+    path = tmp_path / "foreign.rrd"
+    recording = rr.RecordingStream(APPLICATION_ID)
+    recording.save(path)
+    recording.log("/something", rr.TextDocument("else"), static=True)
+    if version is not None:
+        columns = arrays(HEADER_COLUMNS, [(version, "{}")])
+        recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
+    recording.disconnect()
+    with pytest.raises(SessionError, match=words):
+        open_session(path)

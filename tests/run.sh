@@ -1,0 +1,12 @@
+#!/bin/sh
+# Sets up a test environment in .venv and runs everything: style, types, tests, and the two virtual-machine lanes.
+set -eu
+cd "$(dirname "$0")/.."
+. deploy/venv.sh
+make_venv .venv
+.venv/bin/pip install --quiet --disable-pip-version-check -c deploy/constraints.txt -e '.[test]'
+.venv/bin/ruff format --check .
+.venv/bin/ruff check .
+.venv/bin/mypy
+.venv/bin/python -m pytest "$@"
+.venv/bin/python -m tests.vm

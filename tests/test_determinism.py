@@ -1,0 +1,166 @@
+"""The two laws: the same inputs give the same outputs; a recorded drive, replayed verbatim, sends the same frames."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.interface import CanFrame
+from gateway.engine import Engine
+from gateway.record import Hello, Record
+from gateway.recorder_writer import SessionWriter
+from gateway.types import ZERO_TWIST, CycleTiming, Inputs, Mode, Outputs, RequestKind, Twist, TwistFrame
+from replay.session import RecordedOutputs, open_session
+from replay.verify import verify
+from tests.world import NAMES, ROBOTS, World
+
+both = pytest.mark.parametrize("name", NAMES)
+axis = st.floats(-1.5, 1.5)
+twists = st.one_of(st.just(ZERO_TWIST), st.builds(Twist, axis, axis, axis))
+streams = st.tuples(
+    st.just("stream"), twists, st.sampled_from(["teleop", "autonomy"]), st.sampled_from(TwistFrame), st.integers(5, 150)
+)
+silences = st.tuples(st.just("silence"), st.integers(5, 150))
+requests = st.tuples(st.just("request"), st.sampled_from([RequestKind.ESTOP, RequestKind.RESET]))
+breakages = st.tuples(st.sampled_from(["unplug", "plug", "power_off", "power_on"]), st.integers(0, 3))
+buses = st.tuples(st.sampled_from(["fail", "restore"]))
+scripts = st.lists(st.one_of(streams, streams, silences, requests, breakages, buses), min_size=1, max_size=8)
+few = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def play(name: str, script: list[tuple[Any, ...]]) -> World:
+    """A drive of this robot that begins well and then follows the script."""
+    world = World(name)
+    world.start()
+    devices = list(world.bus.robot.devices.values())
+    bus = world.config.bus[0].name
+    actions: dict[str, Callable[..., object]] = {
+        "stream": lambda twist, source, frame, cycles: world.run(cycles * 0.004, twist, source=source, frame=frame),
+        "silence": lambda cycles: world.run(cycles * 0.004),
+        "request": world.request,
+        "unplug": lambda index: devices[index % len(devices)].unplug(),
+        "plug": lambda index: devices[index % len(devices)].plug(),
+        "power_off": lambda index: devices[index % len(devices)].power_off(),
+        "power_on": lambda index: devices[index % len(devices)].power_on(),
+        "fail": lambda: world.bus.fail(bus),
+        "restore": lambda: world.bus.restore(bus),
+    }
+    for action, *arguments in script:
+        actions[action](*arguments)
+    return world
+
+
+def record(world: World, directory: Path) -> Path:
+    """Writes the drive as the recorder process would."""
+    path = ROBOTS / f"{world.config.robot.name}.toml"
+    recording = world.config.recording.model_copy(update={"directory": str(directory), "min_free": 1_000_000})
+    config = world.config.model_copy(update={"recording": recording})
+    writer = SessionWriter(
+        config,
+        Hello(
+            config_json=config.model_dump_json(),
+            config_text=path.read_text(),
+            config_origin=str(path),
+            folder=None,
+            started_wall_ns=1_790_000_000_000_000_000,
+            wall_minus_mono_ns=0,
+        ),
+    )
+    writer.open()
+    timing = CycleTiming(0, 0, 0)
+    writer.write([Record(inputs, outputs, timing) for inputs, outputs in world.records])
+    writer.close()
+    return writer.folder
+
+
+@both
+@few
+@given(script=scripts)
+def test_the_same_inputs_give_the_same_outputs(name: str, script: list[tuple[Any, ...]]) -> None:
+    world = play(name, script)
+    again = Engine(world.config)
+    for inputs, outputs in world.records:
+        assert again.step(inputs) == outputs
+
+
+@both
+@few
+@given(script=scripts)
+def test_a_recorded_drive_replays_verbatim(
+    name: str, script: list[tuple[Any, ...]], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    world = play(name, script)
+    session = open_session(record(world, tmp_path_factory.mktemp("session")))
+    read = list(session.cycles())
+    assert read == [(inputs, RecordedOutputs.of(outputs)) for inputs, outputs in world.records]
+    verdict = verify(session)
+    assert verdict.identical
+    assert verdict.cycles == len(world.records)
+
+
+def tampered(world: World, cycle: int, change: Callable[[Outputs], Outputs]) -> World:
+    inputs, outputs = world.records[cycle]
+    world.records[cycle] = (inputs, change(outputs))
+    return world
+
+
+def changed_byte(outputs: Outputs) -> Outputs:
+    frame = outputs.frames[0]
+    data = bytes([frame.data[0], frame.data[1] ^ 0x01, *frame.data[2:]])
+    return outputs._replace(frames=(frame._replace(data=data), *outputs.frames[1:]))
+
+
+def test_verify_names_motor_field_and_values_of_a_shared_frame(tmp_path: Path) -> None:
+    """One DJI frame carries four motors: the difference names the one whose current differs."""
+    world = play("omni4", [("stream", Twist(0.5, 0.0, 0.0), "teleop", TwistFrame.BODY, 50)])
+    verdict = verify(open_session(record(tampered(world, len(world.records) - 1, changed_byte), tmp_path)))
+    difference = verdict.first_difference
+    assert verdict.exit_code == 1
+    assert difference is not None
+    assert (difference.cycle, difference.motor) == (len(world.records) - 1, "front_left")
+    assert "current" in difference.field
+    assert difference.recorded != difference.replayed
+
+
+def test_verify_names_motor_field_and_values_of_a_velocity(tmp_path: Path) -> None:
+    world = play("moby", [("stream", Twist(0.5, 0.0, 0.0), "teleop", TwistFrame.BODY, 50)])
+    last = len(world.records) - 1
+    verdict = verify(open_session(record(tampered(world, last, changed_byte), tmp_path)))
+    difference = verdict.first_difference
+    assert difference is not None
+    assert (difference.cycle, difference.motor) == (last, "left")
+    assert "Input_Vel" in difference.field
+
+
+def test_verify_tells_missing_frames_and_modes(tmp_path: Path) -> None:
+    def without_frames(outputs: Outputs) -> Outputs:
+        return outputs._replace(frames=outputs.frames[:-1])
+
+    def other_mode(outputs: Outputs) -> Outputs:
+        return outputs._replace(mode=Mode.FAULT)
+
+    for index, (change, field) in enumerate(((without_frames, "frame"), (other_mode, "mode"))):
+        world = tampered(play("moby", []), 60, change)
+        directory = tmp_path / str(index)
+        directory.mkdir()
+        difference = verify(open_session(record(world, directory))).first_difference
+        assert difference is not None
+        assert (difference.cycle, difference.field) == (60, field)
+
+
+def test_verify_says_what_is_missing(tmp_path: Path) -> None:
+    world = play("moby", [])
+    del world.records[50:60]
+    verdict = verify(open_session(record(world, tmp_path)))
+    assert verdict.exit_code == 2
+    assert verdict.problem == "cycles 50 to 59 are missing from the recording"
+    assert verdict.cycles == 50
+
+
+def test_frames_to_be_sent_carry_no_stamp() -> None:
+    world = play("omni4", [])
+    assert all(isinstance(frame, CanFrame) and frame.received_ns is None for frame in world.last.frames)
+    assert isinstance(world.records[0][0], Inputs)

@@ -1,0 +1,31 @@
+"""The Debian packages a lane needs, and their installation."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Mapping
+
+SEARCH_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin:/usr/lib/systemd:/lib/systemd"
+
+HOST_TOOLS = {"ip": "iproute2", "tc": "iproute2", "candump": "can-utils", "cansend": "can-utils"}
+MACHINE_TOOLS = HOST_TOOLS | {"linux.uml": "user-mode-linux", "insmod": "kmod"}
+SYSTEMD_TOOLS = MACHINE_TOOLS | {"systemctl": "systemd", "systemd": "systemd", "udevadm": "udev"}
+
+
+def missing(tools: Mapping[str, str]) -> list[str]:
+    """Packages to install before these tools exist."""
+    return sorted({package for tool, package in tools.items() if shutil.which(tool, path=SEARCH_PATH) is None})
+
+
+def install(packages: list[str]) -> None:
+    """Install quietly; refresh the package lists only if the first attempt says so."""
+    if not _apt("install", "--no-install-recommends", *packages):
+        _apt("update")
+        _apt("install", "--no-install-recommends", *packages)
+
+
+def _apt(*arguments: str) -> bool:
+    command = ["apt-get", "-y", "-qq", "-o", "Dpkg::Use-Pty=0", *arguments]
+    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    return done.returncode == 0

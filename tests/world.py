@@ -1,0 +1,106 @@
+"""A robot in virtual time for tests: the real engine, real drivers, simulated controllers and dynamics."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from gateway.config import RobotConfig, load
+from gateway.engine import Engine
+from gateway.types import (
+    ZERO_TWIST,
+    Event,
+    Inputs,
+    Mode,
+    Outputs,
+    Reply,
+    Request,
+    RequestKind,
+    Twist,
+    TwistCommand,
+    TwistFrame,
+)
+from replay.sim.bus import SimulatedBus
+
+ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
+NAMES = ("moby", "omni4")
+START_NS = 1_000_000_000_000
+Record = tuple[Inputs, Outputs]
+
+
+def robot_file(name: str) -> RobotConfig:
+    return load(ROBOTS / f"{name}.toml")[0]
+
+
+class World:
+    """Steps engine and simulated bus together; keeps every cycle."""
+
+    def __init__(self, name: str, config: RobotConfig | None = None) -> None:
+        self.config = config or robot_file(name)
+        self.bus = SimulatedBus(self.config)
+        self.engine = Engine(self.config)
+        self.period_ns = round(1e9 / self.config.loop.rate)
+        self.now_ns = START_NS
+        self.records: list[Record] = []
+        self.events: list[Event] = []
+
+    @property
+    def last(self) -> Outputs:
+        return self.records[-1][1]
+
+    def is_in(self, mode: Mode) -> bool:
+        return self.engine.mode is mode
+
+    def cycle(self, *, commands: Iterable[TwistCommand] = (), requests: Iterable[Request] = ()) -> Outputs:
+        self.now_ns += self.period_ns
+        frames, bus_events = self.bus.receive(self.now_ns)
+        inputs = Inputs(
+            cycle=len(self.records),
+            now_ns=self.now_ns,
+            frames=tuple(frames),
+            commands=tuple(commands),
+            requests=tuple(requests),
+            bus_events=tuple(bus_events),
+        )
+        outputs = self.engine.step(inputs)
+        self.bus.send(outputs.frames, self.now_ns)
+        self.records.append((inputs, outputs))
+        self.events += outputs.events
+        return outputs
+
+    def command(self, twist: Twist, source: str = "teleop", frame: TwistFrame = TwistFrame.BODY) -> TwistCommand:
+        return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns)
+
+    def run(
+        self,
+        seconds: float,
+        twist: Twist | None = None,
+        *,
+        source: str = "teleop",
+        frame: TwistFrame = TwistFrame.BODY,
+        until: Callable[[Outputs], bool] | None = None,
+    ) -> Outputs:
+        """So many seconds with this twist streamed every 20 ms (None: silence)."""
+        for index in range(round(seconds * 1e9 / self.period_ns)):
+            due = twist is not None and index % 5 == 0
+            commands = [self.command(twist, source, frame)] if due and twist is not None else []
+            outputs = self.cycle(commands=commands)
+            if until is not None and until(outputs):
+                break
+        return self.last
+
+    def start(self) -> None:
+        """Motors answer, a zero command arrives, the robot is ready to drive."""
+        self.run(0.3)
+        self.run(3.0, ZERO_TWIST, until=lambda outputs: outputs.mode is Mode.DRIVE)
+        assert self.is_in(Mode.DRIVE)
+
+    def request(self, kind: RequestKind) -> Reply | None:
+        outputs = self.cycle(requests=[Request(kind, 7, self.now_ns + self.period_ns)])
+        return outputs.replies[0] if outputs.replies else None
+
+    def true_speed(self) -> float:
+        """How fast the simulated body really moves (m/s plus rad/s, a plain measure of rest)."""
+        twist = self.bus.robot.truth.twist
+        return abs(twist[0]) + abs(twist[1]) + abs(twist[2])
+
+    def codes(self) -> list[str]:
+        return [event.code for event in self.events]
