@@ -2,12 +2,13 @@
 
 import rerun.blueprint as rrb
 
-from gateway.recorder_shapes import PATH, ROBOT, WORLD
-from gateway.recorder_views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL
+from gateway.recorder_shapes import PATH, SURROUNDINGS, WORLD
+from gateway.recorder_views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL, TWIST_MEASURED, TWIST_TARGET
 from gateway.session_schema import WALL
 
-EYE_HEIGHT = 3.5  # m
 PATH_SECONDS = 120.0
+_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
+_EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[WALL], text_log_columns=["loglevel", "body"])
 
 
 def blueprint() -> rrb.Blueprint:
@@ -17,15 +18,20 @@ def blueprint() -> rrb.Blueprint:
             rrb.Horizontal(
                 _from_above(),
                 rrb.Vertical(
-                    rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]"),
+                    rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]", plot_legend=_LEGEND),
                     rrb.Tabs(
-                        rrb.TimeSeriesView(origin="/trace/twist", name="Body velocity [m/s, rad/s]"),
+                        rrb.TimeSeriesView(
+                            origin="/trace/twist",
+                            contents=[TWIST_TARGET, TWIST_MEASURED],
+                            name="Body velocity [m/s, rad/s]",
+                            plot_legend=_LEGEND,
+                        ),
                         rrb.TimeSeriesView(origin=POSE, name="Pose"),
                         rrb.TimeSeriesView(origin=RESIDUAL, name="Slip residual"),
                         active_tab=0,
                     ),
                     rrb.Tabs(
-                        rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]"),
+                        rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]", plot_legend=_LEGEND),
                         rrb.TimeSeriesView(origin=COMMAND_AGE, name="Command age"),
                         active_tab=0,
                     ),
@@ -36,7 +42,7 @@ def blueprint() -> rrb.Blueprint:
             rrb.Horizontal(
                 rrb.StateTimelineView(origin=MODE, name="Mode"),
                 rrb.Tabs(
-                    rrb.TextLogView(origin=EVENTS, name="Events"),
+                    rrb.TextLogView(origin=EVENTS, name="Events", columns=_EVENT_COLUMNS),
                     rrb.DataframeView(origin="/inputs/can", name="CAN in"),
                     rrb.DataframeView(origin="/outputs/can", name="CAN out"),
                     rrb.TextDocumentView(origin="/config", name="Robot file"),
@@ -53,7 +59,11 @@ def blueprint() -> rrb.Blueprint:
 
 
 def _from_above() -> rrb.Spatial3DView:
-    """Forward is up and left is left, as in the robot's own axes; the eye goes with the robot."""
+    """Forward is up and left is left, as in the robot's own axes at the start; the eye goes with the robot.
+
+    The viewer follows an entity that has something to draw, from a distance that follows from its size; therefore
+    it follows two invisible points around the robot.
+    """
     trail = rrb.VisibleTimeRanges(
         timeline=WALL,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
@@ -61,14 +71,14 @@ def _from_above() -> rrb.Spatial3DView:
     )
     return rrb.Spatial3DView(
         origin=WORLD,
-        name="Robot from above (x up, y left)",
+        name="From above; velocity wanted (orange) and measured (blue)",
         overrides={PATH: trail},
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0xFFFFFF28),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(0.0, 0.0, EYE_HEIGHT),
+            position=(0.0, 0.0, 1.0),
             look_target=(0.0, 0.0, 0.0),
             eye_up=(1.0, 0.0, 0.0),
-            tracking_entity=ROBOT,
+            tracking_entity=SURROUNDINGS,
         ),
     )

@@ -21,6 +21,7 @@ from typing import Protocol
 import can
 
 from drivers.interface import CanFrame, ReceiveFilter
+from gateway.can_errors import meanings
 from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.exclusive import Claims, InUseError
 from gateway.robot import Group, build
@@ -33,9 +34,7 @@ STUCK_CYCLES = 25  # cycles in a row in which not every frame could be sent: nob
 MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel
 SEND_BUFFER = 8192  # bytes; an skb of one CAN frame counts for about 800, so this holds about ten frames
 
-# Classes and controller states of error frames; linux/can/error.h
-_CLASS_CONTROLLER, _CLASS_BUS_OFF, _CLASS_RESTARTED = 0x004, 0x040, 0x100
-_RX_OVERFLOW, _PASSIVE, _ACTIVE = 0x01, 0x30, 0x40
+_ENDS_BUS_OFF = (BusEventKind.RESTARTED, BusEventKind.ERROR_ACTIVE)
 
 
 class BusEdge(Protocol):
@@ -216,24 +215,13 @@ class _Channel:
         return True
 
     def _error_frame(self, message: can.Message) -> None:
-        classes = message.arbitration_id
-        if classes & _CLASS_BUS_OFF:
-            self._event(BusEventKind.BUS_OFF, "controller is bus-off: short circuit or wrong bit rate")
-            self._bus_off = True
-            self._mark_down("controller is bus-off")
-        if classes & _CLASS_RESTARTED:
-            self._event(BusEventKind.RESTARTED, "controller restarted")
-            self._bus_off = False
-        state = message.data[1] if classes & _CLASS_CONTROLLER and len(message.data) > 1 else 0
-        if state & _PASSIVE:
-            self._event(
-                BusEventKind.ERROR_PASSIVE, "controller is error-passive: nobody acknowledges, cable or bit rate"
-            )
-        if state & _ACTIVE:
-            self._event(BusEventKind.ERROR_ACTIVE, "controller is error-active again")
-            self._bus_off = False
-        if state & _RX_OVERFLOW:
-            self._event(BusEventKind.RX_OVERFLOW, "receive buffer of the controller overflowed")
+        for _, _, kind, text in meanings(message.arbitration_id, bytes(message.data)):
+            self._event(kind, text)
+            if kind is BusEventKind.BUS_OFF:
+                self._bus_off = True
+                self._mark_down(text)
+            elif kind in _ENDS_BUS_OFF:
+                self._bus_off = False
 
     def _mark_down(self, reason: str) -> None:
         if not self._down:
@@ -248,10 +236,11 @@ class _Channel:
 
     def _event(self, kind: BusEventKind, text: str, occurrences: int = 1) -> None:
         """Note it; a shower of equal error frames becomes one event with a count."""
-        event = BusEvent(self._config.name, kind, occurrences, text)
-        if self._events and self._events[-1][::3] == event[::3] and self._events[-1].kind is kind:
-            event = event._replace(occurrences=self._events.pop().occurrences + occurrences)
-        self._events.append(event)
+        last = self._events[-1] if self._events else None
+        if last is not None and (last.kind, last.text) == (kind, text):
+            self._events[-1] = last._replace(occurrences=last.occurrences + occurrences)
+            return
+        self._events.append(BusEvent(self._config.name, kind, occurrences, text))
 
 
 def _message(frame: CanFrame) -> can.Message:

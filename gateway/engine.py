@@ -222,7 +222,7 @@ class Engine:
         mode = next_mode(
             self._mode,
             Situation(
-                estop=any(request.kind is RequestKind.ESTOP for request in inputs.requests),
+                estop=bool(inputs.requests) and any(one.kind is RequestKind.ESTOP for one in inputs.requests),
                 reset=granted,
                 shutdown=self._shutdown,
                 blocked=blocked,

@@ -80,9 +80,10 @@ class HealthMonitor:
         """Health of this cycle. `setpoints`, `speeds`: last commanded and measured output speeds, rad/s."""
         present: list[tuple[int, Fault]] = []
         for index, motor in enumerate(feedback):
-            fault = self._reported(index, motor, driving=driving) or self._following(
-                index, motor, setpoints, speeds, now_ns
-            )
+            if motor.state is MotorState.OPERATIONAL:
+                fault = self._following(index, setpoints[index], speeds[index], now_ns)
+            else:
+                fault = self._reported(index, motor, driving=driving)
             if fault is not None:
                 present.append((index, fault))
         if not present and not self._latched and not self._lost:
@@ -90,8 +91,7 @@ class HealthMonitor:
         return self._judge(present, driving)
 
     def _reported(self, index: int, motor: MotorFeedback, *, driving: bool) -> Fault | None:
-        if motor.state is MotorState.OPERATIONAL:
-            return None
+        self._following_since[index] = None
         if motor.fault is not None:
             return Fault(FaultKind.MOTOR, self._names[index], motor.fault.text, motor.fault.latched)
         if motor.state is MotorState.SILENT:
@@ -102,21 +102,8 @@ class HealthMonitor:
             return Fault(FaultKind.MOTOR, self._names[index], text, latched=False)
         return None
 
-    def _following(
-        self,
-        index: int,
-        motor: MotorFeedback,
-        setpoints: Sequence[float | None],
-        speeds: Sequence[float | None],
-        now_ns: int,
-    ) -> Fault | None:
-        setpoint, speed = setpoints[index], speeds[index]
-        if (
-            setpoint is None
-            or speed is None
-            or motor.state is not MotorState.OPERATIONAL
-            or abs(setpoint - speed) <= self._tolerances[index]
-        ):
+    def _following(self, index: int, setpoint: float | None, speed: float | None, now_ns: int) -> Fault | None:
+        if setpoint is None or speed is None or abs(setpoint - speed) <= self._tolerances[index]:
             self._following_since[index] = None
             return None
         since = self._following_since[index]

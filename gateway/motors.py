@@ -14,6 +14,10 @@ class Motors:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+        self._receivers = {
+            bus: tuple(group.driver.receive for group in robot.groups if group.bus == bus)
+            for bus in {group.bus for group in robot.groups}
+        }
         size = len(robot.names)
         self._standstill = tuple(STANDSTILL * top for top in robot.top_speeds)
         self.feedback: list[MotorFeedback] = [MotorFeedback(MotorState.SILENT)] * size
@@ -24,19 +28,20 @@ class Motors:
     def receive(self, frames: Sequence[CanFrame]) -> None:
         """Hand every frame to the driver it belongs to; what belongs to nobody is left out."""
         for frame in frames:
-            for group in self._robot.groups:
-                if group.bus == frame.bus and group.driver.receive(frame):
+            for receive in self._receivers.get(frame.bus, ()):
+                if receive(frame):
                     break
 
     def measure(self, now_ns: int) -> None:
         """Bring feedback, speeds and positions up to date; those of a silent motor are unknown."""
         for group in self._robot.groups:
             for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns), strict=True):
-                gear = self._robot.transmissions[index]
-                heard = feedback.state is not MotorState.SILENT
                 self.feedback[index] = feedback
-                self.speeds[index] = gear.output_speed(feedback.velocity) if heard else None
-                self.positions[index] = gear.output_position(feedback.position) if heard else None
+                if feedback.state is MotorState.SILENT:
+                    self.speeds[index] = self.positions[index] = None
+                else:
+                    gear = self._robot.transmissions[index]
+                    self.speeds[index], self.positions[index] = gear.output(feedback.velocity, feedback.position)
 
     def command(self, setpoints: list[float | None], *, braking: bool, dt: float, now_ns: int) -> tuple[CanFrame, ...]:
         """Frames of this cycle. A setpoint of None releases its motor; `braking` asks the controllers' own brake."""

@@ -62,7 +62,10 @@ class WheelOdometry:
         The way of a joint that was silent is unknown and left out: its controller may have counted from zero again.
         """
         self._jumped = []
-        deltas = [self._delta(index, position, now_ns) for index, position in enumerate(positions)]
+        deltas = [
+            0.0 if position is not None and position == before else self._delta(index, position, now_ns)
+            for index, (position, before) in enumerate(zip(positions, self._positions, strict=True))
+        ]
         if any(deltas):
             self._move(deltas, positions)
         if residual:
@@ -82,8 +85,6 @@ class WheelOdometry:
         if index in self._unseen:
             self._reappear(index, position, now_ns)
             return None
-        if position == before:
-            return 0.0
         elapsed = min((now_ns - self._moved_ns[index]) * 1e-9, _LONGEST_GAP)
         self._positions[index], self._moved_ns[index] = position, now_ns
         if before is None:
@@ -104,11 +105,12 @@ class WheelOdometry:
             self._jumped.append(index)
 
     def _move(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> None:
-        middle = [
-            None if position is None else position - 0.5 * (delta or 0.0)
-            for position, delta in zip(positions, deltas, strict=True)
-        ]
-        estimate = self._kinematics.twist(deltas, middle)
+        if self._kinematics.steered:  # the geometry of mid-way serves the whole way to second order
+            positions = [
+                None if position is None else position - 0.5 * (delta or 0.0)
+                for position, delta in zip(positions, deltas, strict=True)
+            ]
+        estimate = self._kinematics.twist(deltas, positions)
         if estimate is None:
             return
         delta = estimate.twist

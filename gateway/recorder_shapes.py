@@ -13,6 +13,7 @@ WORLD = "/trace/world"
 PATH = "/trace/world/path"
 ROBOT = "/trace/world/robot"
 CHASSIS = "/trace/world/robot/chassis"  # turns beneath the platform, which is the robot's frame
+SURROUNDINGS = "/trace/world/robot/surroundings"
 COMMANDED = "/trace/world/robot/velocity/commanded"
 MEASURED = "/trace/world/robot/velocity/measured"
 
@@ -22,6 +23,7 @@ BODY_COLOUR = 0xECEFF1FF
 CHASSIS_COLOUR = 0x90A4AEFF
 WHEEL_COLOUR = 0x546E7AFF
 PATH_COLOUR = 0x66BB6AFF
+REACH = 1.1  # m around the robot that the picture shows
 
 # Four hues that stay apart for colour-blind eyes (Okabe and Ito's set, lightened for a dark ground), then repeated.
 _HUES = (0x4FC3F7, 0xFFB74D, 0x81C784, 0xF48FB1, 0xFFF176, 0xB39DDB)
@@ -45,6 +47,7 @@ def send_shapes(recording: rr.RecordingStream, config: RobotConfig) -> None:
         _send_omni(recording, robot)
         height = 2.2 * max(wheel.radius for wheel in robot.wheel)
     recording.log(PATH, rr.LineStrips3D.from_fields(colors=PATH_COLOUR, radii=0.012), static=True)
+    recording.log(SURROUNDINGS, rr.Points3D([(REACH, REACH, 0.0), (-REACH, -REACH, 0.0)], radii=1e-5), static=True)
     for path, colour in ((COMMANDED, COMMANDED_COLOUR), (MEASURED, MEASURED_COLOUR)):
         style = rr.Arrows3D.from_fields(colors=colour, radii=0.014, origins=[(0.0, 0.0, height)])
         recording.log(path, style, static=True)

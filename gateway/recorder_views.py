@@ -64,19 +64,16 @@ class Views:
     def begin(self, recording: rr.RecordingStream) -> None:
         """Everything static, which Rerun keeps only in the segment it was sent to."""
         self._mode = None
-        count = len(self._names)
-        _lines(recording, WHEELS_COMMANDED, [f"{name} commanded" for name in self._names], colours(count, pale=True))
-        _lines(recording, WHEELS_MEASURED, [f"{name} measured" for name in self._names], colours(count))
-        for path, word, pale in (
-            (TWIST_TARGET, "wanted", True),
-            (TWIST_SETPOINT, "limited", True),
-            (TWIST_MEASURED, "measured", False),
-        ):
-            _lines(recording, path, [f"{axis} {word}" for axis in ("vx", "vy", "wz")], colours(3, pale=pale))
-        _lines(recording, POSE, ["x [m]", "y [m]", "theta [rad]"], colours(3))
-        _lines(recording, LOOP, ["late [ms]", "work [ms]"], colours(2))
-        _lines(recording, COMMAND_AGE, ["age of the command [s]"], colours(1))
-        _lines(recording, RESIDUAL, ["slip residual [m/s]"], colours(1))
+        _lines(recording, WHEELS_COMMANDED, [f"{name} commanded" for name in self._names], wide=True)
+        _lines(recording, WHEELS_MEASURED, [f"{name} measured" for name in self._names])
+        axes = ("vx", "vy", "wz")
+        _lines(recording, TWIST_TARGET, [f"{axis} wanted" for axis in axes], wide=True)
+        _lines(recording, TWIST_SETPOINT, [f"{axis} limited" for axis in axes], wide=True)
+        _lines(recording, TWIST_MEASURED, [f"{axis} measured" for axis in axes])
+        _lines(recording, POSE, ["x [m]", "y [m]", "theta [rad]"])
+        _lines(recording, LOOP, ["late [ms]", "work [ms]"])
+        _lines(recording, COMMAND_AGE, ["age of the command [s]"])
+        _lines(recording, RESIDUAL, ["slip residual [m/s]"])
         words = [mode.value for mode in MODE_COLOURS]
         styles = rr.StateConfiguration(
             values=words, labels=words, colors=np.array(list(MODE_COLOURS.values()), np.uint32)
@@ -183,10 +180,11 @@ def _platform(config: RobotConfig) -> str | None:
     return config.robot.platform if config.robot.kind == "offset_differential" else None
 
 
-def _lines(recording: rr.RecordingStream, path: str, names: list[str], shades: list[int]) -> None:
-    recording.log(
-        path, rr.SeriesLines(names=names, colors=np.array(shades, np.uint32), widths=[1.5] * len(names)), static=True
-    )
+def _lines(recording: rr.RecordingStream, path: str, names: list[str], *, wide: bool = False) -> None:
+    """What was asked for is drawn wide and pale, so that what was measured lies visibly on top of it."""
+    shades = np.array(colours(len(names), pale=wide), np.uint32)
+    widths = [5.0 if wide else 1.5] * len(names)
+    recording.log(path, rr.SeriesLines(names=names, colors=shades, widths=widths), static=True)
 
 
 def _turned(angles: Floats) -> Floats:

@@ -18,7 +18,7 @@ from typing import Protocol
 from gateway.can_bus import BusEdge
 from gateway.config import RobotConfig
 from gateway.engine import Engine
-from gateway.systemd import Notifier
+from gateway.systemd import Notifier, Readiness
 from gateway.types import (
     CycleTiming,
     Event,
@@ -38,8 +38,6 @@ logger = logging.getLogger(__name__)
 
 EXIT_CORE_BUG = 70  # EX_SOFTWARE of sysexits.h
 SHUTDOWN_LIMIT_NS = 8_000_000_000  # a robot that will not come to rest must not keep the process alive for ever
-MOTORS_LIMIT_NS = 3_000_000_000  # motors that have not answered by then are declared absent
-STATUS_LINE_NS = 1_000_000_000
 _LOG_LEVELS = {Level.INFO: logging.INFO, Level.WARNING: logging.WARNING, Level.ERROR: logging.ERROR}
 
 
@@ -98,9 +96,7 @@ class Service:
         self._overruns = 0
         self._stop_since_ns: int | None = None
         self._stop_requested = False
-        self._ready = False
-        self._started_ns = 0
-        self._status_line_ns = 0
+        self._readiness = Readiness(notifier, time.monotonic_ns())
 
     def stop(self) -> None:
         """Ask for an orderly end: ramp to rest, release, return from `run`. Safe in a signal handler."""
@@ -126,7 +122,7 @@ class Service:
         self.stop()
 
     def _loop(self) -> None:
-        deadline_ns = self._started_ns = time.monotonic_ns()
+        deadline_ns = time.monotonic_ns()
         while True:
             now_ns = self._wait(deadline_ns)
             late_ns = now_ns - deadline_ns
@@ -150,6 +146,8 @@ class Service:
 
     def _one_cycle(self, now_ns: int, late_ns: int) -> Outputs:
         frames, bus_events = self._bus.receive(now_ns)
+        if bus_events:
+            self._readiness.hear(bus_events)
         commands, refusals, requests = self._link.drain(now_ns)
         inputs = Inputs(
             cycle=self._cycle,
@@ -199,23 +197,9 @@ class Service:
         self._notifier.feed_watchdog(now_ns)
         if outputs.status is not None:
             self._recorder.poll()
-            self._tell_systemd(outputs.status, now_ns)
+            self._readiness.tell(outputs.status, now_ns)
         if self._after_cycle is not None:
             self._after_cycle(now_ns, outputs)
-
-    def _tell_systemd(self, status: Status, now_ns: int) -> None:
-        silent = [motor.name for motor in status.motors if motor.state == "silent"]
-        line = f"{status.mode.value}" + (f": {status.reason}" if status.reason else "")
-        if not self._ready:
-            if silent and now_ns - self._started_ns < MOTORS_LIMIT_NS:
-                return
-            self._ready = True
-            if silent:
-                logger.warning("declared absent: %s", ", ".join(silent))
-            self._notifier.ready(line)
-        elif now_ns - self._status_line_ns > STATUS_LINE_NS:
-            self._status_line_ns = now_ns
-            self._notifier.status(line)
 
     def _emergency_stop(self) -> None:
         """The core cannot be trusted any more, its constant stop frames can."""

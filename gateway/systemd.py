@@ -1,9 +1,19 @@
-"""sd_notify without a dependency: readiness, status text and the watchdog (systemd's sd_notify(3))."""
+"""What the service manager is told: sd_notify without a dependency (systemd's sd_notify(3)), and when we are ready."""
 
 import contextlib
+import logging
 import os
 import socket
-from collections.abc import MutableMapping
+from collections.abc import Iterable, MutableMapping
+
+from gateway.types import BusEvent, BusEventKind, Status
+
+logger = logging.getLogger(__name__)
+
+MOTORS_LIMIT_NS = 3_000_000_000  # motors that have not answered by then are declared absent
+STATUS_LINE_NS = 1_000_000_000
+START_EXTENSION_US = 10_000_000  # a start that waits is no failure, one whose loop hangs is
+_MOTION = {True: "standing", False: "moving", None: "motion unknown"}
 
 
 class Notifier:
@@ -33,6 +43,10 @@ class Notifier:
         """One line for `systemctl status`."""
         self._send(f"STATUS={text}")
 
+    def waiting(self, why: str) -> None:
+        """The start goes on, and why; keeps the service manager patient for another START_EXTENSION_US."""
+        self._send(f"EXTEND_TIMEOUT_USEC={START_EXTENSION_US}\nSTATUS=waiting: {why}")
+
     def stopping(self) -> None:
         """An orderly end has begun."""
         self._send("STOPPING=1")
@@ -47,3 +61,55 @@ class Notifier:
         if self._socket is not None:
             with contextlib.suppress(OSError):  # a service manager that does not listen must not stop the robot
                 self._socket.send(text.encode())
+
+
+class Readiness:
+    """Says READY once every bus works and every motor has answered or is declared absent; before that, what is missing.
+
+    The status line begins with mode and motion: `install.sh` refuses to upgrade under a robot that is not at rest.
+    """
+
+    def __init__(self, notifier: Notifier, started_ns: int) -> None:
+        self._notifier = notifier
+        self._started_ns = started_ns
+        self._buses_down: dict[str, str] = {}
+        self._ready = False
+        self._told_ns: int | None = None
+
+    def hear(self, events: Iterable[BusEvent]) -> None:
+        """Which buses work."""
+        for event in events:
+            if event.kind is BusEventKind.DOWN:
+                self._buses_down[event.bus] = event.text
+            elif event.kind is BusEventKind.UP:
+                self._buses_down.pop(event.bus, None)
+
+    def tell(self, status: Status, now_ns: int) -> None:
+        """Called with every status; tells what changed, the rest once per second."""
+        silent = [motor.name for motor in status.motors if motor.state == "silent"]
+        missing = None if self._ready else self._missing(silent, now_ns)
+        if not self._ready and missing is None:
+            self._ready = True
+            self._told_ns = now_ns
+            if silent:
+                logger.warning("declared absent: %s", ", ".join(silent))
+            self._notifier.ready(_line(status))
+        elif self._told_ns is None or now_ns - self._told_ns > STATUS_LINE_NS:
+            self._told_ns = now_ns
+            if missing is None:
+                self._notifier.status(_line(status))
+            else:
+                self._notifier.waiting(missing)
+
+    def _missing(self, silent: list[str], now_ns: int) -> str | None:
+        """What the start still waits for."""
+        for bus, text in self._buses_down.items():
+            return f"{bus}: {text}"
+        if silent and now_ns - self._started_ns < MOTORS_LIMIT_NS:
+            return f"no answer yet from {', '.join(silent)}"
+        return None
+
+
+def _line(status: Status) -> str:
+    reason = f": {status.reason}" if status.reason else ""
+    return f"{status.mode.value}, {_MOTION[status.standing]}{reason}"

@@ -12,12 +12,16 @@ PACKAGES = ("drivers", "gateway", "replay")
 EDGES = {
     "gateway/can_bus.py",
     "gateway/client.py",
+    "gateway/exclusive.py",
     "gateway/recorder.py",
     "gateway/recorder_process.py",
     "gateway/service.py",
     "gateway/systemd.py",
     "gateway/zenoh_link.py",
     "gateway/zenoh_session.py",
+    "replay/player.py",
+    "replay/redrive.py",
+    "replay/sim/interface.py",
     "replay/sim/server.py",
     "replay/verify.py",
 }

@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 
 from drivers.interface import CanFrame
 from gateway.engine import Engine
-from gateway.record import Hello, Record
-from gateway.recorder_writer import SessionWriter
-from gateway.types import ZERO_TWIST, CycleTiming, Inputs, Mode, Outputs, RequestKind, Twist, TwistFrame
+from gateway.types import ZERO_TWIST, Inputs, Mode, Outputs, RequestKind, Twist, TwistFrame
 from replay.session import RecordedOutputs, open_session
 from replay.verify import verify
-from tests.world import NAMES, ROBOTS, World
+from tests.recording import record
+from tests.world import NAMES, World
 
 both = pytest.mark.parametrize("name", NAMES)
 axis = st.floats(-1.5, 1.5)
@@ -51,29 +50,6 @@ def play(name: str, script: list[tuple[Any, ...]]) -> World:
     for action, *arguments in script:
         actions[action](*arguments)
     return world
-
-
-def record(world: World, directory: Path) -> Path:
-    """Writes the drive as the recorder process would."""
-    path = ROBOTS / f"{world.config.robot.name}.toml"
-    recording = world.config.recording.model_copy(update={"directory": str(directory), "min_free": 1_000_000})
-    config = world.config.model_copy(update={"recording": recording})
-    writer = SessionWriter(
-        config,
-        Hello(
-            config_json=config.model_dump_json(),
-            config_text=path.read_text(),
-            config_origin=str(path),
-            folder=None,
-            started_wall_ns=1_790_000_000_000_000_000,
-            wall_minus_mono_ns=0,
-        ),
-    )
-    writer.open()
-    timing = CycleTiming(0, 0, 0)
-    writer.write([Record(inputs, outputs, timing) for inputs, outputs in world.records])
-    writer.close()
-    return writer.folder
 
 
 @both

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from gateway.config import RobotConfig, load
+from gateway.config import parse
 from gateway.engine import Engine
 from gateway.types import (
     ZERO_TWIST,
@@ -26,15 +26,19 @@ START_NS = 1_000_000_000_000
 Record = tuple[Inputs, Outputs]
 
 
-def robot_file(name: str) -> RobotConfig:
-    return load(ROBOTS / f"{name}.toml")[0]
+def robot_text(name: str, *, rate_hz: float = 250.0) -> str:
+    """The bundled robot file, with another loop rate if asked."""
+    text = (ROBOTS / f"{name}.toml").read_text()
+    assert text.count("[loop]\nrate = 250.0") == 1
+    return text.replace("[loop]\nrate = 250.0", f"[loop]\nrate = {rate_hz}")
 
 
 class World:
     """Steps engine and simulated bus together; keeps every cycle."""
 
-    def __init__(self, name: str, config: RobotConfig | None = None) -> None:
-        self.config = config or robot_file(name)
+    def __init__(self, name: str, *, rate_hz: float = 250.0) -> None:
+        self.text = robot_text(name, rate_hz=rate_hz)
+        self.config = parse(self.text, name)
         self.bus = SimulatedBus(self.config)
         self.engine = Engine(self.config)
         self.period_ns = round(1e9 / self.config.loop.rate)

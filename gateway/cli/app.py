@@ -11,7 +11,9 @@ from gateway.cli.operate import send, stop, watch
 from gateway.cli.output import EXIT_CONFIG, complain
 from gateway.cli.replay import replay
 from gateway.cli.run import run
+from gateway.cli.sim import sim
 from gateway.config import ConfigError
+from gateway.exclusive import InUseError
 from gateway.zenoh_session import LinkError
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
@@ -23,7 +25,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (run, check, drive, send, watch, stop, demo):
+for command in (run, check, drive, send, watch, stop, demo, sim):
     app.command()(command)
 app.add_typer(replay, name="replay")
 
@@ -35,6 +37,6 @@ def main() -> None:
     except ConfigError as error:
         complain(str(error))
         sys.exit(EXIT_CONFIG)
-    except LinkError as error:
+    except (LinkError, InUseError) as error:
         complain(str(error))
         sys.exit(EXIT_UNAVAILABLE)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gateway import robot_files
+from gateway import realtime, robot_files
 from gateway.can_bus import BusEdge, CanBuses
 from gateway.check import examine
 from gateway.config import RobotConfig, load
@@ -41,6 +41,7 @@ def run(
     try:
         with ZenohLink(config, text) as link:
             bus, after_cycle = _simulated(config, link) if simulate else (CanBuses(config), None)
+            realtime.enter()  # now that every thread of the link exists
             try:
                 service = Service(
                     config, bus=bus, link=link, recorder=recorder, notifier=notifier, after_cycle=after_cycle

@@ -17,14 +17,14 @@ class Transmission(NamedTuple):
         """N m at the shaft, for an ideal gear."""
         return output_torque / self.ratio
 
-    def output_speed(self, motor_speed: float | None) -> float | None:
-        """Rad/s at the output."""
-        return None if motor_speed is None else motor_speed / self.ratio
+    def output(self, motor_speed: float | None, motor_position: float | None) -> tuple[float | None, float | None]:
+        """Rad/s and rad (from its zero) at the output."""
+        ratio = self.ratio
+        return (
+            None if motor_speed is None else motor_speed / ratio,
+            None if motor_position is None else motor_position / ratio - self.zero,
+        )
 
     def output_torque(self, motor_torque: float | None) -> float | None:
         """N m at the output, for an ideal gear."""
         return None if motor_torque is None else motor_torque * self.ratio
-
-    def output_position(self, motor_position: float | None) -> float | None:
-        """Rad at the output, from its zero."""
-        return None if motor_position is None else motor_position / self.ratio - self.zero

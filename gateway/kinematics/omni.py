@@ -31,7 +31,7 @@ class WheelPose(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Pseudo-inverse and consistency rows of one set of measured wheels."""
+    """Pseudo-inverse and consistency rows of one set of measured wheels, per wheel speed (rad/s)."""
 
     to_twist: tuple[tuple[float, ...], ...]
     checks: tuple[tuple[float, ...], ...]
@@ -63,17 +63,16 @@ class OmniKinematics:
         if None in speeds:
             measured = tuple(speed is not None for speed in speeds)
             solution = self._solution(measured)
-            rims = [speed * radius for speed, radius in zip(speeds, self._radii, strict=True) if speed is not None]
+            known = [speed for speed in speeds if speed is not None]
         else:
-            solution = self._solutions[self._all]
-            rims = list(map(mul, speeds, self._radii))
+            solution, known = self._solutions[self._all], speeds
         if solution is None:
             return None
         x, y, z = solution.to_twist
-        twist = Twist(sum(map(mul, x, rims)), sum(map(mul, y, rims)), sum(map(mul, z, rims)))
+        twist = Twist(sum(map(mul, x, known)), sum(map(mul, y, known)), sum(map(mul, z, known)))
         if not solution.checks:
             return Estimate(twist, None)
-        return Estimate(twist, hypot(*[sum(map(mul, check, rims)) for check in solution.checks]))
+        return Estimate(twist, hypot(*[sum(map(mul, check, known)) for check in solution.checks]))
 
     def drivable(self, usable: Sequence[bool]) -> bool:
         """Three independent wheels reach every direction; the others roll along."""
@@ -97,7 +96,8 @@ class OmniKinematics:
                 raise
             return None
         left, _, _ = np.linalg.svd(rows)
-        checks = left[:, _AXES:].T
+        radii = np.array(self._radii)[list(measured)]
+        inverse, checks = inverse * radii, left[:, _AXES:].T * radii
         return _Solution(tuple(map(tuple, inverse.tolist())), tuple(map(tuple, checks.tolist())))
 
 

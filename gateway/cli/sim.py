@@ -1,0 +1,82 @@
+"""`drivegate sim`: the simulated robot as a process of its own, on the CAN interfaces of its robot file."""
+
+import logging
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from threading import Event
+from typing import Annotated
+
+import can
+import typer
+import zenoh
+
+from gateway import robot_files
+from gateway.client import MAX_MESSAGE_SIZE
+from gateway.config import RobotConfig, load
+from gateway.messages import encode_truth
+from gateway.zenoh_session import Receivers, open_session
+from replay.sim.device import SECOND_NS
+from replay.sim.interface import MotorsInterface
+from replay.sim.server import SimulationServer
+
+TRUTH_RATE_HZ = 20.0
+
+
+def sim(
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    channel: Annotated[str | None, typer.Option(help="CAN interface instead of the robot file's, e.g. vcan0.")] = None,
+    tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
+    endpoint: Annotated[
+        str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key <robot>/truth).")
+    ] = None,
+) -> None:
+    """Be the motors and the robot on a (virtual) CAN interface until SIGTERM or SIGINT. Never on a real robot's bus.
+
+    Survives the interface going down, up, away and back. Use a larger --tick where system calls are slow.
+    """
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
+    config, _ = load(robot_files.find(file))
+    ended = Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ended.set())
+    with ExitStack() as stack:
+        server = SimulationServer(config, _interfaces(config, channel, stack), tick_ns=tick * SECOND_NS // 1000)
+        if endpoint is not None:
+            stack.enter_context(_telling(server, config.robot.name, endpoint, ended))
+        server.run(ended)
+
+
+def _interfaces(config: RobotConfig, channel: str | None, stack: ExitStack) -> dict[str, can.BusABC]:
+    """The motors' end of every bus of the robot file; one channel for all of them if it is given."""
+    return {
+        bus.name: stack.enter_context(
+            MotorsInterface(channel or bus.channel, [motor for motor in config.motor if motor.bus == bus.name])
+        )
+        for bus in config.bus
+    }
+
+
+@contextmanager
+def _telling(server: SimulationServer, robot: str, endpoint: str, ended: Event) -> Iterator[None]:
+    """Publishes the true pose from a thread of its own."""
+    session = open_session(listen=[endpoint], connect=[], max_message_size=MAX_MESSAGE_SIZE)
+    publisher = session.declare_publisher(f"{robot}/truth", congestion_control=zenoh.CongestionControl.DROP)
+    receivers = Receivers(session)
+
+    def tell(_: int) -> None:
+        truth = server.robot.truth
+        publisher.put(encode_truth(truth.pose, truth.time_ns / SECOND_NS))
+
+    receivers.pump("truth", _ticks(ended), tell)
+    try:
+        yield
+    finally:
+        ended.set()
+        receivers.close()
+
+
+def _ticks(ended: Event) -> Iterator[int]:
+    while not ended.wait(1.0 / TRUTH_RATE_HZ):
+        yield 0
