@@ -57,6 +57,12 @@ class Notifier:
             self._fed_ns = now_ns
             self._send("WATCHDOG=1")
 
+    def close(self) -> None:
+        """Let go of the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
     def _send(self, text: str) -> None:
         if self._socket is not None:
             with contextlib.suppress(OSError):  # a service manager that does not listen must not stop the robot

@@ -3,6 +3,7 @@
 import os
 import resource
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -189,6 +190,23 @@ def test_a_full_disk_pauses_the_recording(tmp_path: Path) -> None:
     assert list(read.cycles()) == expected(records[:100] + records[200:])
 
 
+def test_rotation_by_age_and_a_folder_taken_away(tmp_path: Path) -> None:
+    records = list(drive(80))
+    session = writer(tmp_path)
+    session.write(records[:20])
+    session._opened_ns -= 400 * 10**9
+    session.write(records[20:40])
+    session.write(records[40:60])
+    assert [path.name for path in segments(session.folder)] == ["segment-00001.rrd", "segment-00002.rrd"]
+    shutil.rmtree(session.folder)
+    session.write(records[60:70])
+    session.write(records[70:])
+    session.close()
+    read = open_session(session.folder)
+    assert list(read.cycles()) == expected(records[70:])
+    assert read.header.config_text == robot_text()
+
+
 def test_no_room_at_the_start_does_not_stop_the_robot(tmp_path: Path) -> None:
     recorder = start(tmp_path, min_free=10**13)
     assert recorder.session is not None
@@ -256,7 +274,10 @@ from pathlib import Path
 from tests.gateway.test_recorder import pid, put, start
 from tests.drives import drive
 recorder = start(Path(sys.argv[1]))
-put(recorder, list(drive(300)))
+records = list(drive(300))
+put(recorder, records[:100])
+assert recorder._child.wait_readable(20.0)  # a report that will never be read
+put(recorder, records[100:])
 print(pid(recorder), recorder.session, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """

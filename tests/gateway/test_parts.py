@@ -1,0 +1,152 @@
+"""Small parts of the core: commands, health, reporter, speed loop, transmission, sd_notify."""
+
+import os
+import socket
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.interface import DriverFault, MotorFeedback, MotorState
+from gateway.commands import Arbiter
+from gateway.config import Source
+from gateway.control.speed_loop import SpeedLoop
+from gateway.control.transmission import Transmission
+from gateway.health import FOLLOWING_TIME_NS, FaultKind, HealthMonitor
+from gateway.reporter import Due
+from gateway.systemd import Notifier
+from gateway.types import ZERO_TWIST, TwistCommand, TwistFrame
+
+WELL = MotorFeedback(MotorState.OPERATIONAL, 0.0, 0.0)
+SILENT = MotorFeedback(MotorState.SILENT, age_ns=400_000_000)
+BROKEN = MotorFeedback(MotorState.FAULT, fault=DriverFault("over_temperature", "INVERTER_OVER_TEMP", latched=True))
+
+
+def command(source: str, received_ns: int) -> TwistCommand:
+    return TwistCommand(source, ZERO_TWIST, TwistFrame.BODY, None, received_ns)
+
+
+def test_the_timeout_of_a_source_counts_from_arrival_and_is_inclusive() -> None:
+    arbiter = Arbiter([Source(name="low", priority=1, timeout=0.1), Source(name="high", priority=2, timeout=0.05)])
+    arbiter.receive(command("low", 0))
+    arbiter.receive(command("high", 0))
+    arbiter.receive(command("stranger", 0))
+    winners = [arbiter.select(now_ns).command for now_ns in (0, 50_000_000, 50_000_001, 100_000_000, 100_000_001)]
+    assert [winner and winner.source for winner in winners] == ["high", "high", "low", "low", None]
+
+
+def monitor() -> HealthMonitor:
+    return HealthMonitor(["left", "right"], top_speeds=[20.0, 20.0])
+
+
+def test_silence_and_faults_are_told_apart_and_latched_ones_stay() -> None:
+    health = monitor()
+    known = {"setpoints": [0.0, 0.0], "speeds": [0.0, 0.0], "driving": False}
+    assert health.assess([WELL, WELL], now_ns=0, **known) == ((True, True), ())  # type: ignore[arg-type]
+    silent = health.assess([SILENT, WELL], now_ns=0, **known)  # type: ignore[arg-type]
+    assert silent.usable == (False, True)
+    assert [(fault.kind, fault.latched, str(fault)) for fault in silent.faults] == [
+        (FaultKind.SILENT, False, "left: silent for 0.40 s")
+    ]
+    assert health.assess([WELL, BROKEN], now_ns=0, **known).usable == (True, False)  # type: ignore[arg-type]
+    assert health.assess([WELL, WELL], now_ns=0, **known).usable == (True, False)  # type: ignore[arg-type]
+    health.reset()
+    assert health.assess([WELL, WELL], now_ns=0, **known).usable == (True, True)  # type: ignore[arg-type]
+
+
+def test_a_motor_lost_while_driving_is_not_taken_back_before_rest() -> None:
+    health = monitor()
+    health.assess([SILENT, WELL], setpoints=[1.0, 1.0], speeds=[None, 1.0], driving=True, now_ns=0)
+    back = health.assess([WELL, WELL], setpoints=[None, 1.0], speeds=[1.0, 1.0], driving=True, now_ns=1)
+    assert back == ((False, True), ())
+    health.forgive()
+    assert health.assess([WELL, WELL], setpoints=[1.0, 1.0], speeds=[1.0, 1.0], driving=True, now_ns=2).usable[0]
+
+
+def test_leaving_operation_while_driving_is_a_fault_even_without_an_error_code() -> None:
+    idle = MotorFeedback(MotorState.IDLE, 0.0, 0.0)
+    found = monitor().assess([idle, WELL], setpoints=[1.0, 1.0], speeds=[0.0, 1.0], driving=True, now_ns=0)
+    assert found.usable == (False, True)
+
+
+def test_a_speed_that_does_not_follow_is_a_latched_fault_after_its_time() -> None:
+    health = monitor()
+    for now_ns in range(0, FOLLOWING_TIME_NS, 4_000_000):
+        assert health.assess(
+            [WELL, WELL], setpoints=[10.0, 0.0], speeds=[3.0, 0.0], driving=True, now_ns=now_ns
+        ).usable == (True, True)
+    late = health.assess([WELL, WELL], setpoints=[10.0, 0.0], speeds=[3.0, 0.0], driving=True, now_ns=FOLLOWING_TIME_NS)
+    assert late.faults[0].kind is FaultKind.FOLLOWING
+    assert late.faults[0].latched
+
+
+@given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=60))
+def test_the_speed_loop_never_exceeds_its_torque(samples: list[tuple[float, float]]) -> None:
+    loop = SpeedLoop(kp=2.0, ki=4.0, max_torque=4.5)
+    assert all(abs(loop.torque(setpoint, speed, 0.004)) <= 4.5 for setpoint, speed in samples)
+
+
+def test_the_speed_loop_does_not_wind_up() -> None:
+    """Blocked at full torque for ten seconds, it lets go within a few cycles of the setpoint's return."""
+    loop = SpeedLoop(kp=2.0, ki=4.0, max_torque=4.5)
+    for _ in range(2500):
+        assert loop.torque(10.0, 0.0, 0.004) == 4.5
+    assert loop.torque(0.0, 0.0, 0.004) < 4.5
+    assert loop.torque(0.0, None, 0.004) == 0.0
+
+
+def test_transmission_applies_ratio_sign_and_zero_once() -> None:
+    gear = Transmission(ratio=-50.0, zero=0.5)
+    assert gear.motor_speed(2.0) == -100.0
+    assert gear.motor_torque(75.0) == -1.5
+    assert gear.output(-100.0, -75.0) == (2.0, 1.0)
+    assert gear.output(None, None) == (None, None)
+    assert gear.output_torque(-1.5) == 75.0
+
+
+def test_due_keeps_its_rate_and_does_not_burst() -> None:
+    due = Due(10.0)
+    period = 100_000_000
+    assert [due(now) for now in (0, 1, period - 1, period, 5 * period + 1, 5 * period + 2, 6 * period)] == [
+        True,
+        False,
+        False,
+        True,
+        True,
+        False,
+        True,
+    ]
+
+
+def test_systemd_is_told_and_its_variables_do_not_leak(tmp_path: Path) -> None:
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(path))
+        manager.settimeout(5.0)
+        environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "3000000", "WATCHDOG_PID": str(os.getpid())}
+        notifier = Notifier(environment)
+        assert environment == {}
+        notifier.ready("idle")
+        assert manager.recv(100) == b"READY=1\nSTATUS=idle"
+        second = 1_000_000_000
+        for now_ns in (2 * second, 2 * second + 1, 3 * second):
+            notifier.feed_watchdog(now_ns)
+        notifier.stopping()
+        assert [manager.recv(100) for _ in range(3)] == [b"WATCHDOG=1", b"WATCHDOG=1", b"STOPPING=1"]
+        notifier.close()
+
+
+def test_without_systemd_nothing_happens() -> None:
+    notifier = Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"})
+    notifier.ready("idle")
+    notifier.feed_watchdog(1)
+
+
+def test_a_service_manager_that_is_gone_does_not_stop_the_robot(tmp_path: Path) -> None:
+    path = tmp_path / "notify"
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(path))
+    notifier = Notifier({"NOTIFY_SOCKET": str(path)})
+    manager.close()
+    notifier.status("still here")
+    notifier.close()
