@@ -16,6 +16,7 @@ EDGES = {
     "gateway/recorder.py",
     "gateway/recorder_process.py",
     "gateway/service.py",
+    "gateway/realtime.py",
     "gateway/systemd.py",
     "gateway/zenoh_link.py",
     "gateway/zenoh_session.py",

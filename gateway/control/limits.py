@@ -15,6 +15,7 @@ from math import ceil, sqrt
 from gateway.types import ZERO_TWIST, Twist
 
 _AXES = range(3)
+_ROUNDING = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
 
 
 def scale_to(vector: Twist, limits: Twist) -> Twist:
@@ -74,7 +75,7 @@ class TwistLimiter:
         """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
         for axis in _AXES:
             rate, step = way[axis] / dt, self._jerk[axis] * dt
-            if abs(rate) > min(step, self._acceleration[axis]) or abs(rate - self._rate[axis]) > step:
+            if abs(rate) > min(step, self._acceleration[axis]) or abs(rate - self._rate[axis]) > step * _ROUNDING:
                 return False
         return True
 

@@ -24,8 +24,9 @@ def walk(moving: TwistLimiter, target: Twist, dt: float) -> list[Twist]:
     """Setpoints until nothing changes any more."""
     setpoints = [moving.setpoint]
     for _ in range(100_000):
-        setpoints.append(moving.step(target, dt)[0])
-        if setpoints[-1] == setpoints[-2]:
+        setpoint, active = moving.step(target, dt)
+        setpoints.append(setpoint)
+        if "acceleration" not in active and setpoints[-1] == setpoints[-2]:
             return setpoints
     pytest.fail("never arrives")
 

@@ -84,14 +84,6 @@ def test_everything_put_is_on_the_disk_after_closing(tmp_path: Path) -> None:
     assert recorder.health() == {"session": str(recorder.session), "alive": False, "dropped": 0, "error": None}
 
 
-def test_batches_reach_the_disk_while_it_runs(recorder: Recorder) -> None:
-    put(recorder, list(drive(20)))
-    until(recorder, lambda: settled(recorder) == 20)
-    session = read(recorder)
-    assert not session.complete
-    assert list(session.cycles()) == expected(list(drive(20)))
-
-
 def test_the_service_never_waits_for_a_stopped_process(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_backlog_limit", 60)
     os.kill(pid(recorder), signal.SIGSTOP)
@@ -121,6 +113,9 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     records = list(drive(300))
     put(recorder, records[:100])
     until(recorder, lambda: settled(recorder) == 100)
+    unclosed = read(recorder)
+    assert list(unclosed.cycles()) == expected(records[:100])
+    assert not unclosed.complete
     first = pid(recorder)
     os.kill(first, signal.SIGSTOP)
     put(recorder, records[100:150])
@@ -140,6 +135,15 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     assert "exit code -9" in session.gaps[0].reason
     assert list(session.cycles()) == expected(records[:100] + records[150:])
     assert recorder.dropped == 50
+
+
+def test_closing_after_the_process_died_says_so_at_once(recorder: Recorder) -> None:
+    os.kill(pid(recorder), signal.SIGKILL)
+    os.waitid(os.P_PID, pid(recorder), os.WEXITED | os.WNOWAIT)
+    put(recorder, list(drive(5)))
+    started = time.monotonic()
+    assert not recorder.close(PATIENCE_S)
+    assert time.monotonic() - started < PATIENCE_S / 4
 
 
 def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Recorder) -> None:
@@ -217,38 +221,24 @@ def test_no_room_at_the_start_does_not_stop_the_robot(tmp_path: Path) -> None:
     assert recorder.dropped == 10
 
 
-def test_a_value_that_fits_no_column_costs_one_cycle(recorder: Recorder) -> None:
+def test_what_cannot_be_recorded_costs_one_cycle_each(recorder: Recorder) -> None:
+    """A packet that is too long, an integer that fits no column, a text that is none."""
     records = list(drive(40))
-    wild = records[17].inputs.commands[0:0] + records[0].inputs.commands
-    records[17] = Record(
-        records[17].inputs._replace(commands=tuple(command._replace(sequence=2**63) for command in wild)),
-        records[17].outputs,
-        records[17].timing,
-    )
-    records[30] = Record(
-        records[30].inputs._replace(bus_events=("\ud800",)),  # type: ignore[arg-type]
-        records[30].outputs,
-        records[30].timing,
-    )
-    put(recorder, records)
-    assert recorder.dropped == 1
-    assert recorder.close()
-    assert recorder.dropped == 2
-    session = read(recorder)
-    assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(17, 17), (30, 30)]
-    assert all(gap.reason.startswith("not recordable") for gap in session.gaps)
-
-
-def test_a_cycle_too_long_for_a_packet_is_a_gap(recorder: Recorder) -> None:
-    records = list(drive(3))
     many = tuple(CanFrame("can0", 1, bytes(8)) for _ in range(60_000))
-    records[1] = Record(records[1].inputs._replace(frames=many), records[1].outputs, records[1].timing)
+    wild = tuple(command._replace(sequence=2**63) for command in records[0].inputs.commands)
+    for cycle, inputs in (
+        (5, records[5].inputs._replace(frames=many)),
+        (17, records[17].inputs._replace(commands=wild)),
+        (30, records[30].inputs._replace(frames=(CanFrame("\ud800", 1, b""),))),
+    ):
+        records[cycle] = Record(inputs, records[cycle].outputs, records[cycle].timing)
     put(recorder, records)
-    assert recorder.dropped == 1
+    assert recorder.dropped == 2
     assert recorder.close()
-    (gap,) = read(recorder).gaps
-    assert (gap.first_cycle, gap.last_cycle) == (1, 1)
-    assert "too long for one packet" in gap.reason
+    assert recorder.dropped == 3
+    gaps = read(recorder).gaps
+    assert [(gap.first_cycle, gap.last_cycle) for gap in gaps] == [(5, 5), (17, 17), (30, 30)]
+    assert all(gap.reason.startswith("not recordable: ") for gap in gaps)
 
 
 def test_signals_and_descriptors_are_not_inherited(recorder: Recorder) -> None:

@@ -74,7 +74,7 @@ def test_omni_rotates_and_strafes_under_current() -> None:
     assert spin.robot.truth.twist.wz > 0.2
     strafe = SimulatedBus(OMNI)
     drive(strafe, 100, [CanFrame("can0", 0x200, pack(">4h", 400, -400, -400, 400))])
-    assert strafe.robot.truth.twist.vy > 0.05
+    assert strafe.robot.truth.twist.vy > 0.02
     assert strafe.robot.truth.twist.vx == pytest.approx(0.0, abs=1e-9)
 
 
