@@ -1,8 +1,11 @@
 """End to end on loopback: the service in one process, commanders in others, the session read back."""
 
 import json
+import os
+import pty
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import pytest
@@ -131,3 +134,32 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         robot.await_state(lambda state: state.status.winner is None)
         released = drivegate("stop", "omni4", "--reset", "--json")
         assert json.loads(released.stdout.splitlines()[-1]) == {"ok": True, "reason": None}
+
+
+def test_keyboard_teleoperation(tmp_path: Path, free_port: int) -> None:
+    """A held key drives (terminals repeat it), its release stops, x ends; the terminal is given back as it was."""
+    with RobotProcess("omni4", tmp_path, free_port) as robot:
+        keyboard, terminal = pty.openpty()
+        before = termios.tcgetattr(terminal)
+        command = [sys.executable, "-m", "gateway", "drive", "omni4", "--connect", robot.endpoint]
+        teleop = subprocess.Popen(command, stdin=terminal, stdout=subprocess.DEVNULL)
+        try:
+            robot.await_state(in_mode(Mode.DRIVE), timeout=40.0)
+            for _ in range(200):
+                os.write(keyboard, b"w")
+                if robot.client.wait_for_state(faster_than(0.25), 0.05):
+                    break
+            robot.await_state(faster_than(0.25))
+            state = robot.await_state(lambda state: state.status.standing is True)
+            assert state.status.mode is Mode.DRIVE, "released, not silent"
+            os.write(keyboard, b"!")
+            robot.await_state(in_mode(Mode.ESTOP))
+            os.write(keyboard, b"x")
+            assert teleop.wait(10.0) == 0
+        finally:
+            teleop.kill()
+            teleop.wait(10.0)
+            after = termios.tcgetattr(terminal)
+            os.close(keyboard)
+            os.close(terminal)
+        assert after == before
