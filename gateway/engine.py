@@ -22,6 +22,7 @@ from gateway.motors import Motors
 from gateway.odometry import WheelOdometry
 from gateway.reporter import Reporter, waiting_for
 from gateway.robot import build
+from gateway.standstill import Standstill
 from gateway.supervisor import Situation, next_mode
 from gateway.types import (
     ZERO_TWIST,
@@ -41,8 +42,6 @@ from gateway.types import (
 DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
 HOLDING = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
 ARMING_TIMEOUT_NS = 3_000_000_000
-REST_DWELL_NS = 250_000_000  # wheels must stand for so long before they are released: creeping is not rest
-REST_TIMEOUT_NS = 4_000_000_000  # a robot that cannot be measured is believed to stand this long after setpoint zero
 DEGRADED_EFFORT = 0.5  # one motor of four lost: half the acceleration (Rojas section 11, corrected: E-001-14)
 MAX_STEP_PERIODS = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
 
@@ -69,9 +68,7 @@ class Engine:
         self._last_ns: int | None = None
         self._mode = Mode.IDLE
         self._mode_since_ns = 0
-        self._rest_since_ns: int | None = None  # since when the setpoint has been zero
-        self._standing: bool | None = None  # None: too few wheels report to know
-        self._standing_since_ns: int | None = None
+        self._standstill = Standstill()
         self._energised = False  # motors were armed and have not been released since
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
@@ -158,11 +155,7 @@ class Engine:
         motors.measure(now_ns)
         estimate = self._kinematics.twist(motors.speeds, motors.positions)
         residual = estimate.residual if estimate else None
-        self._standing = False if motors.turning() else True if estimate else None
-        if not self._standing:
-            self._standing_since_ns = None
-        elif self._standing_since_ns is None:
-            self._standing_since_ns = now_ns
+        self._standstill.measure(turning=motors.turning(), measurable=estimate is not None, now_ns=now_ns)
         return estimate, self._odometry.update(motors.positions, residual=residual, dt=dt, now_ns=now_ns)
 
     # judge and decide
@@ -209,9 +202,9 @@ class Engine:
         command = selection.command
         if command is not None and command.twist != ZERO_TWIST:
             return f"{command.source} commands motion; commands must be zero"
-        if self._standing is None:
+        if self._standstill.standing is None:
             return "too few motors report their speed, so the robot is not known to stand"
-        return None if self._standing else "the robot still moves"
+        return None if self._standstill.standing else "the robot still moves"
 
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
@@ -246,13 +239,7 @@ class Engine:
         return command is not None and command.twist == ZERO_TWIST and command.received_ns > self._mode_since_ns
 
     def _rested(self, now_ns: int) -> bool:
-        """Released, or setpoint zero and the robot stands; one that cannot be measured gets its time instead."""
-        if not self._energised:
-            return True
-        if self._rest_since_ns is None:
-            return False
-        stood = self._standing_since_ns is not None and now_ns - self._standing_since_ns >= REST_DWELL_NS
-        return stood or now_ns - self._rest_since_ns > REST_TIMEOUT_NS
+        return not self._energised or self._standstill.rested(now_ns)
 
     def _latch_unarmed(self, unarmed: Sequence[int]) -> None:
         for index in unarmed:
@@ -302,10 +289,7 @@ class Engine:
 
     def _hold(self, now_ns: int) -> bool:
         """Whether the motors are driven (at speed or at zero) rather than released."""
-        if not self._limiter.at_rest:
-            self._rest_since_ns = None
-        elif self._rest_since_ns is None:
-            self._rest_since_ns = now_ns
+        self._standstill.command(zero=self._limiter.at_rest, now_ns=now_ns)
         if self._energised and self._mode not in HOLDING and self._rested(now_ns):
             self._energised = False
         return self._energised
@@ -329,7 +313,7 @@ class Engine:
             sources=self._arbiter.describe(selection, inputs.now_ns),
             motors=self._motors.status(),
             limits_active=limits,
-            standing=self._standing,
+            standing=self._standstill.standing,
             pose=self._odometry.pose,
             twist=measured,
             refused=self._reporter.refused,
