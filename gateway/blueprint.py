@@ -2,21 +2,21 @@
 
 import rerun.blueprint as rrb
 
-from gateway.recorder_shapes import PATH, SURROUNDINGS, WORLD
+from gateway.recorder_shapes import BODY, PATH, WORLD
 from gateway.recorder_views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL, TWIST_MEASURED, TWIST_TARGET
-from gateway.session_schema import WALL
+from gateway.session_schema import CYCLE, WALL
 
 PATH_SECONDS = 120.0
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
-_EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[WALL], text_log_columns=["loglevel", "body"])
+_EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["loglevel", "body"])
 
 
-def blueprint() -> rrb.Blueprint:
+def blueprint(*, eye_height: float) -> rrb.Blueprint:
     """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                _from_above(),
+                _from_above(eye_height),
                 rrb.Vertical(
                     rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]", plot_legend=_LEGEND),
                     rrb.Tabs(
@@ -58,11 +58,10 @@ def blueprint() -> rrb.Blueprint:
     )
 
 
-def _from_above() -> rrb.Spatial3DView:
+def _from_above(eye_height: float) -> rrb.Spatial3DView:
     """Forward is up and left is left, as in the robot's own axes at the start; the eye goes with the robot.
 
-    The viewer follows an entity that has something to draw, from a distance that follows from its size; therefore
-    it follows two invisible points around the robot.
+    The viewer follows only what has something to draw, hence the body and not the frame it belongs to.
     """
     trail = rrb.VisibleTimeRanges(
         timeline=WALL,
@@ -76,9 +75,9 @@ def _from_above() -> rrb.Spatial3DView:
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0xFFFFFF28),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(0.0, 0.0, 1.0),
+            position=(0.0, 0.0, eye_height),
             look_target=(0.0, 0.0, 0.0),
             eye_up=(1.0, 0.0, 0.0),
-            tracking_entity=SURROUNDINGS,
+            tracking_entity=BODY,
         ),
     )

@@ -115,9 +115,7 @@ class Recorder:
         child = self._child
         if child is None:
             return False
-        while self._backlog or self._gap is not None:
-            if not child.wait_writable(deadline - time.monotonic()):
-                break
+        while (self._backlog or self._gap is not None) and child.wait_writable(deadline - time.monotonic()):
             self._send_backlog(len(self._backlog) + 1)
         complete = not self._backlog and self._gap is None
         child.finish(deadline)

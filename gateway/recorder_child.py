@@ -116,7 +116,11 @@ class RecorderChild:
         poll = select.poll()
         poll.register(self._socket, event)
         ready = poll.poll(max(timeout, 0.0) * 1000.0)
-        return any(happened & (event | select.POLLHUP) for _, happened in ready)
+        for _, happened in ready:
+            if happened & select.POLLHUP:
+                return event == select.POLLIN
+            return bool(happened & event)
+        return False
 
 
 def _spawn(descriptor: int) -> subprocess.Popen[bytes]:

@@ -7,13 +7,12 @@ come, so that a sending service never has to wake anybody. End of file (the serv
 write what is left, close the footer, go. The signals that end the service are blocked here from birth.
 """
 
+import contextlib
 import logging
 import os
 import socket
 import sys
 import time
-
-import rerun as rr
 
 from gateway.config import RobotConfig
 from gateway.record import PACKET_LIMIT, Gap, Hello, Packet, Record, Report, decode_hello, decode_packet, encode
@@ -27,7 +26,6 @@ BATCH_RECORDS = 1000
 DRAIN_PERIOD_S = 0.02
 EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
 EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
-_NICENESS = 5
 
 
 class Inbox:
@@ -52,8 +50,8 @@ class Inbox:
                 length = self._socket.recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 break
-            except ConnectionResetError:
-                length = 0
+            except ConnectionResetError:  # told once, if the service died with reports unread; its packets still come
+                continue
             if not length:
                 self.ended = True
                 break
@@ -99,7 +97,6 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
 def main(descriptor: int) -> int:
     """Exit code: 0 when the session is complete."""
     logging.basicConfig(level=logging.INFO, format="recorder: %(message)s")
-    rr.set_strict_mode(True)
     _step_back()
     inbox = Inbox(descriptor)
     hello = inbox.hello()
@@ -127,9 +124,9 @@ def _refuse(inbox: Inbox, text: str) -> int:
 
 
 def _step_back() -> None:
-    """Ordinary, polite scheduling, whatever the service runs under: disks and compression can wait, motors cannot."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.nice(_NICENESS)
+    """Ordinary, patient scheduling, whatever the service runs under: a disk can wait, motors cannot."""
+    with contextlib.suppress(OSError):  # a sandbox may forbid it
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 if __name__ == "__main__":

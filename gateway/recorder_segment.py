@@ -58,14 +58,14 @@ class Segment:
     def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         """Write a batch, whole or, when a value does not fit its column, not at all (OverflowError, ...)."""
         if records:
-            self._write_records(records)
+            self._write_records(records, gaps)
         if gaps:
             self._send_gaps(gaps)
 
-    def _write_records(self, records: Sequence[Record]) -> None:
+    def _write_records(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         times = Times(records)
         blocks = [Block(entity, records) for entity in BATCH]
-        self._views.send(self._recording, records, times)
+        self._views.send(self._recording, records, gaps, times)
         for block in blocks:
             block.send(self._recording, times)
 
@@ -76,9 +76,12 @@ class Segment:
         except RuntimeError as error:
             raise WriterDeadError(str(error)) from None
 
-    def size(self) -> int:
-        """Bytes written so far."""
-        return self.path.stat().st_size
+    def size(self) -> int | None:
+        """Bytes written so far; None if somebody has taken the file away."""
+        try:
+            return self.path.stat().st_size
+        except OSError:
+            return None
 
     def close(self) -> None:
         """Write the footer. Raises WriterDeadError."""

@@ -7,10 +7,10 @@ import numpy.typing as npt
 import rerun as rr
 
 from gateway.config import RobotConfig
-from gateway.record import Record
+from gateway.record import Gap, Record
 from gateway.recorder_columns import Integers, Times
 from gateway.recorder_shapes import CHASSIS, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
-from gateway.types import Level, Mode, Pose, Trace, Twist
+from gateway.types import Event, Level, Mode, Pose, Trace, Twist
 
 WHEELS_COMMANDED = "/trace/wheels/commanded"
 WHEELS_MEASURED = "/trace/wheels/measured"
@@ -26,7 +26,7 @@ EVENTS = "/trace/events"
 
 PICTURE_PERIOD_NS = 50_000_000
 PATH_STEP = 0.01  # m; a standing robot draws nothing
-ARROW_HEIGHT = 0.02  # m above the top of the robot
+ARROW_SECONDS = 0.8  # an arrow is as long as the way of this time
 
 MODE_COLOURS = {
     Mode.IDLE: 0x78909CFF,
@@ -81,12 +81,13 @@ class Views:
         recording.log(MODE, styles, static=True)
         send_shapes(recording, self._config)
 
-    def send(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+    def send(self, recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times) -> None:
         """The pictures of one batch."""
         traces = [record.outputs.trace for record in records]
         self._send_plots(recording, traces, times)
         self._send_loop(recording, records, times)
-        self._send_words(recording, records, times)
+        self._send_modes(recording, records, times)
+        self._send_events(recording, records, gaps, times)
         self._send_pictures(recording, traces, times)
 
     def _send_plots(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
@@ -110,7 +111,7 @@ class Views:
         spent = np.array([(record.timing.late_ns, record.timing.work_ns) for record in records], np.float64) * 1e-6
         recording.send_columns(LOOP, times.at(np.arange(len(records))), rr.Scalars.columns(scalars=spent))
 
-    def _send_words(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+    def _send_modes(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
         changes: list[int] = []
         for place, record in enumerate(records):
             if record.outputs.mode is not self._mode:
@@ -119,13 +120,23 @@ class Views:
         if changes:
             modes = [records[place].outputs.mode.value for place in changes]
             recording.send_columns(MODE, times.at(np.array(changes)), rr.StateChange.columns(state=modes))
-        events = [(place, event) for place, record in enumerate(records) for event in record.outputs.events]
-        if events:
+
+    @staticmethod
+    def _send_events(
+        recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times
+    ) -> None:
+        """Events of the core, and gaps of the recording as a person should see them."""
+        said = [
+            (0, Event(Level.WARNING, "gap", f"cycles {gap.first_cycle} to {gap.last_cycle} are missing: {gap.reason}"))
+            for gap in gaps
+        ]
+        said += [(place, event) for place, record in enumerate(records) for event in record.outputs.events]
+        if said:
             columns = rr.TextLog.columns(
-                text=[f"{event.code}: {event.text}" for _, event in events],
-                level=[_LEVELS[event.level] for _, event in events],
+                text=[f"{event.code}: {event.text}" for _, event in said],
+                level=[_LEVELS[event.level] for _, event in said],
             )
-            recording.send_columns(EVENTS, times.at(np.array([place for place, _ in events])), columns)
+            recording.send_columns(EVENTS, times.at(np.array([place for place, _ in said])), columns)
 
     def _send_pictures(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
         places = self._picture_places(times)
@@ -194,5 +205,6 @@ def _turned(angles: Floats) -> Floats:
 
 
 def _arrows(twists: Sequence[Twist | None]) -> Floats:
-    """Velocity as a vector, one metre per m/s; nothing where it is unknown."""
-    return np.array([(0.0, 0.0, 0.0) if twist is None else (twist.vx, twist.vy, 0.0) for twist in twists])
+    """Velocity as a vector; nothing where it is unknown."""
+    flat = [(0.0, 0.0, 0.0) if twist is None else (twist.vx, twist.vy, 0.0) for twist in twists]
+    return ARROW_SECONDS * np.array(flat)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
+import rerun as rr
 
 from gateway.blueprint import blueprint
 from gateway.config import RobotConfig
@@ -21,10 +22,12 @@ from gateway.record import Gap, Hello, Record, Report
 from gateway.recorder_disk import Syncer, free_bytes, new_session, next_segment, prune, segment_path, sync
 from gateway.recorder_header import header
 from gateway.recorder_segment import Segment
+from gateway.recorder_shapes import reach
 from gateway.recorder_views import Views
 
 logger = logging.getLogger(__name__)
 
+EYE_HEIGHTS = 10.0  # of the eye above the robot, in radii of its body
 _BAD_VALUE = (OverflowError, TypeError, ValueError)
 
 
@@ -32,6 +35,7 @@ class SessionWriter:
     """Makes or goes on with a session folder. Raises OSError when the folder cannot be made."""
 
     def __init__(self, config: RobotConfig, hello: Hello, *, free: Callable[[Path], int] = free_bytes) -> None:
+        rr.set_strict_mode(True)  # a mistake in a column is an error, not a warning and a hole
         directory = Path(config.recording.directory)
         name = config.robot.name
         self.folder = Path(hello.folder) if hello.folder else new_session(directory, name, hello.started_wall_ns)
@@ -39,7 +43,7 @@ class SessionWriter:
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
         self._views = Views(config)
-        self._blueprint = blueprint()
+        self._blueprint = blueprint(eye_height=EYE_HEIGHTS * reach(config))
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0
@@ -97,6 +101,7 @@ class SessionWriter:
     def _room(self) -> bool:
         """Whether there is room to write; says so once when that changes."""
         try:
+            self.folder.mkdir(parents=True, exist_ok=True)
             free = self._free(self.folder)
         except OSError as error:
             self._fail(f"{self.folder}: {error.strerror}")
@@ -144,7 +149,8 @@ class SessionWriter:
 
     def _rotate_if_due(self, segment: Segment) -> None:
         age_s = (time.monotonic_ns() - self._opened_ns) * 1e-9
-        if age_s >= self._limits.segment_seconds or segment.size() >= self._limits.segment_bytes:
+        size = segment.size()
+        if size is None or size >= self._limits.segment_bytes or age_s >= self._limits.segment_seconds:
             self._close_segment()
 
     def _close_segment(self) -> None:

@@ -2,41 +2,61 @@
 
 How this works
 --------------
-A session is read segment by segment. A segment that was not closed, or is damaged, is cut back to its whole messages;
-the session then says `complete = False`, and what is missing shows up in `gaps`.
+A session is read segment by segment, of each segment what is whole: if it was not closed, or is damaged, the session
+says `complete = False`, and the cycles that are missing show up in `gaps`.
 """
 
-import tempfile
-import warnings
-from collections.abc import Iterable, Iterator, Sequence
+import hashlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from rerun.chunk import Chunk, RrdReader
 
 from gateway.record import Gap
 from gateway.session_schema import (
+    CYCLE,
     GAP_COLUMNS,
     GAP_PATH,
+    HEADER_COLUMNS,
     HEADER_PATH,
+    INDEX,
     INPUT_CYCLE,
     INPUTS,
     OUTPUT_CYCLE,
     OUTPUTS,
     SCHEMA_VERSION,
     Header,
+    Kind,
 )
 from gateway.types import Inputs
-from replay.cycles import Columns, CycleRows, Integers, RecordedOutputs
-from replay.repair import has_footer, repair
+from replay.cycles import Column, Columns, CycleRows, Integers, RecordedOutputs
+from replay.repair import has_footer, read
 
 __all__ = ["RecordedOutputs", "Session", "SessionError", "open_session"]
 
 WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
-_CONTENT = [*(entity.path for entity in (*INPUTS, *OUTPUTS, INPUT_CYCLE, OUTPUT_CYCLE)), GAP_PATH]
-_DAMAGED = (KeyError, IndexError, OverflowError, TypeError, ValueError)  # pyarrow's own errors are among them
+_LAYOUT: Mapping[str, Mapping[str, Kind]] = {
+    **{entity.path: {**entity.columns, INDEX: Kind.ID} for entity in (*INPUTS, *OUTPUTS, INPUT_CYCLE, OUTPUT_CYCLE)},
+    GAP_PATH: GAP_COLUMNS,
+    HEADER_PATH: HEADER_COLUMNS,
+}
+_CONTENT = frozenset(_LAYOUT) - {HEADER_PATH}
+_MAYBE = {Kind.MAYBE_INT, Kind.MAYBE_FLOAT, Kind.MAYBE_TEXT}
+_TYPES = {
+    Kind.INT: pa.int64(),
+    Kind.ID: pa.uint32(),
+    Kind.FLOAT: pa.float64(),
+    Kind.BOOL: pa.bool_(),
+    Kind.TEXT: pa.string(),
+    Kind.BINARY: pa.binary(),
+    Kind.FLOATS: pa.float64(),
+    Kind.MAYBE_INT: pa.int64(),
+    Kind.MAYBE_FLOAT: pa.float64(),
+    Kind.MAYBE_TEXT: pa.string(),
+}
+_DAMAGED = (KeyError, IndexError, OverflowError, TypeError, ValueError, pa.ArrowException)
 
 Tables = dict[str, Columns]  # by entity path
 
@@ -105,19 +125,32 @@ def open_session(path: Path) -> Session:
     """Open a session folder or a single segment. Raises SessionError."""
     try:
         segments = sorted(path.glob("segment-*.rrd")) if path.is_dir() else [path]
-        if not segments:
-            raise SessionError(f"{path}: not a session: there is no segment-*.rrd in it")
-        for segment in segments:
-            header = _header(segment)
-            if header is not None:
-                return Session(path, segments, header)
+        headers, problems = _headers(segments)
+        if headers:
+            return Session(path, segments, headers[0])
     except OSError as error:
         raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
-    raise SessionError(f"{path}: not a session of DriveGate: it has no header")
+    if not segments:
+        raise SessionError(f"{path}: not a session: there is no segment-*.rrd in it")
+    raise problems[0] if problems else SessionError(f"{path}: not a session of DriveGate: it has no header")
+
+
+def _headers(segments: Sequence[Path]) -> tuple[list[Header], list[SessionError]]:
+    """The first header that can be read, and what is wrong with those before it."""
+    problems: list[SessionError] = []
+    for segment in segments:
+        try:
+            header = _header(segment)
+        except SessionError as error:
+            problems.append(error)
+            continue
+        if header is not None:
+            return [header], problems
+    return [], problems
 
 
 def _header(path: Path) -> Header | None:
-    columns = _read(path, [HEADER_PATH])[0].get(HEADER_PATH)
+    columns = _read(path, [HEADER_PATH], first_only=True)[0].get(HEADER_PATH)
     if columns is None:
         return None
     try:
@@ -126,9 +159,12 @@ def _header(path: Path) -> Header | None:
             raise SessionError(
                 f"{path}: has session schema {version}; this version of DriveGate reads {SCHEMA_VERSION}"
             )
-        return msgspec.json.decode(text, type=Header)
+        header = msgspec.json.decode(text, type=Header)
     except _DAMAGED as error:
         raise SessionError(f"{path}: damaged header: {error!r}") from None
+    if hashlib.sha256(header.config_text.encode()).hexdigest() != header.config_sha256:
+        raise SessionError(f"{path}: damaged header: the robot file in it does not match its checksum")
+    return header
 
 
 def _window(rows: CycleRows, start: int, path: Path) -> list[tuple[Inputs, RecordedOutputs]]:
@@ -140,51 +176,52 @@ def _window(rows: CycleRows, start: int, path: Path) -> list[tuple[Inputs, Recor
 
 def _row_count(path: Path, entity: str) -> int:
     columns = _read(path, [entity])[0].get(entity)
-    return 0 if columns is None else max(len(column) for column in columns.values())
+    return 0 if columns is None else len(columns[CYCLE])
 
 
-def _read(path: Path, content: Sequence[str]) -> tuple[Tables, bool]:
-    """These entities of a segment, and whether the file was whole. Raises SessionError, OSError."""
-    whole = has_footer(path)
+def _read(path: Path, entities: Collection[str], *, first_only: bool = False) -> tuple[Tables, bool]:
+    """Columns of these entities of a segment, and whether the file was whole. Raises SessionError."""
     try:
-        if not whole:
-            return _tables(_unclosed(path, content)), False
-        return _tables(RrdReader(path).store().stream().filter(content=list(content))), True
-    except (RuntimeError, *_DAMAGED):
-        return _repaired(path, content), False
+        found = read(path, entities, first_only=first_only)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise SessionError(f"{path}: {error}") from None
+    tables: Tables = {}
+    whole = found.whole
+    for entity, batches in found.batches.items():
+        columns = _joined(batches, _LAYOUT[entity])
+        if columns is None:  # at least one batch is not as it was written: look at each of them
+            whole = False
+            columns = _joined([batch for batch in batches if _joined([batch], _LAYOUT[entity])], _LAYOUT[entity])
+        if columns is not None:
+            tables[entity] = columns
+    return tables, whole
 
 
-def _repaired(path: Path, content: Sequence[str]) -> Tables:
-    """The same from a copy that is cut back to its whole messages."""
-    with tempfile.TemporaryDirectory(prefix="drivegate-") as folder:
-        copy = Path(folder) / path.name
-        try:
-            repair(path, copy)
-            return _tables(_unclosed(copy, content))
-        except (RuntimeError, *_DAMAGED) as error:
-            raise SessionError(f"{path}: damaged beyond repair: {error}") from None
+def _joined(batches: Sequence[pa.RecordBatch], layout: Mapping[str, Kind]) -> Columns | None:
+    """The columns by their own names, without the archetype in front; None if they are not as they were written."""
+    wanted = {name: pa.list_(_TYPES[kind]) for name, kind in layout.items()}
+    if layout is not HEADER_COLUMNS:
+        wanted[CYCLE] = pa.int64()
+    parts: dict[str, list[pa.Array]] = {name: [] for name in wanted}
+    for batch in batches:
+        for place, field in enumerate(batch.schema):
+            name = field.name.rpartition(":")[2]
+            if wanted.get(name) == field.type:
+                parts[name].append(batch.column(place))
+    if not batches or any(len(found) != len(batches) for found in parts.values()):
+        return None
+    columns = {name: pa.concat_arrays(found) for name, found in parts.items()}
+    return columns if all(_fits(columns[name], kind) for name, kind in layout.items()) else None
 
 
-def _unclosed(path: Path, content: Sequence[str]) -> Iterable[Chunk]:
-    """Chunks of a file without a footer; none if it was cut before it said what it is."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no footer is what `complete` says
-        reader = RrdReader(path)
-        return reader.stream().filter(content=list(content)) if reader.recordings() else ()
-
-
-def _tables(chunks: Iterable[Chunk]) -> Tables:
-    """Columns by their own names, without the archetype that Rerun puts in front."""
-    batches: dict[str, list[pa.RecordBatch]] = {}
-    for chunk in chunks:
-        batches.setdefault(str(chunk.entity_path), []).append(chunk.to_record_batch())
-    return {
-        entity: {
-            name.rpartition(":")[2]: pa.concat_arrays([batch.column(name) for batch in found])
-            for name in found[0].schema.names
-        }
-        for entity, found in batches.items()
-    }
+def _fits(column: Column, kind: Kind) -> bool:
+    """One value per row; none at all only where nothing may be said."""
+    if column.null_count or column.flatten().null_count:
+        return False
+    cells = column.value_lengths().to_numpy()
+    return kind is Kind.FLOATS or bool(np.all((cells == 1) | ((cells == 0) & (kind in _MAYBE))))
 
 
 def _markers(columns: Columns | None) -> list[Gap]:

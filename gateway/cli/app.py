@@ -12,6 +12,7 @@ import typer
 from gateway.cli.output import EXIT_CONFIG, complain
 from gateway.config import ConfigError
 from gateway.exclusive import InUseError
+from gateway.recorder import RecorderError
 from gateway.zenoh_session import LinkError
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
@@ -55,6 +56,6 @@ def main() -> None:
     except ConfigError as error:
         complain(str(error))
         sys.exit(EXIT_CONFIG)
-    except (LinkError, InUseError) as error:
+    except (LinkError, InUseError, RecorderError) as error:
         complain(str(error))
         sys.exit(EXIT_UNAVAILABLE)

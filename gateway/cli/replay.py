@@ -1,17 +1,27 @@
 """`drivegate replay`: what to do with a recorded session."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import can
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from gateway.cli.output import complain, console, errors, print_json
+from gateway.config import ConfigError
+from gateway.exclusive import Claims
+from gateway.zenoh_session import LinkError
+from replay.player import Direction, Due, Played, is_alive, recorded, recorded_buses
+from replay.player import play as play_frames
+from replay.redrive import Comparison, RedriveError, redrive
 from replay.session import Session, SessionError, open_session
 from replay.verify import Verdict
 from replay.verify import verify as run_verify
 
 EXIT_NOT_REPLAYABLE = 2
+VIRTUAL_CHANNELS = ("vcan", "vxcan")
 
 replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True)
 
@@ -39,6 +49,113 @@ def verify(
     else:
         show(verdict)
     raise typer.Exit(verdict.exit_code)
+
+
+@replay.command()
+def play(  # noqa: PLR0917  # a command line: each parameter is an option with a name
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    channel: Annotated[str, typer.Option(help="Where to play, e.g. vcan0.")],
+    interface: Annotated[str, typer.Option(help="python-can interface.")] = "socketcan",
+    only: Annotated[
+        Direction | None, typer.Option(help="Only what the motors said (rx) or what the gateway commanded (tx).")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="Times as fast as recorded.")] = 1.0,
+    bus: Annotated[str | None, typer.Option(help="Which recorded bus, if there are several.")] = None,
+    live: Annotated[bool, typer.Option("--live", help="The bus may be alive: MOTORS ON IT WILL MOVE.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+) -> None:
+    """Put the recorded frames on a bus, with their recorded timing.
+
+    Recorded commands move motors as they did then, without any of the checks of a running gateway. So a bus on which
+    anybody talks is refused, and so are commands on an interface that is not vcan or vxcan, unless --live is given.
+    Exit 0 if every frame was sent, 1 if not, 2 if nothing was played.
+    """
+    try:
+        frames = _chosen(open_session(session), bus, only)
+        played = _played(frames, interface, channel, speed, live=live)
+    except (SessionError, can.CanError, OSError) as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    if json:
+        print_json(played.as_json())
+    else:
+        _show_played(played, channel)
+    raise typer.Exit(1 if played.not_sent else 0)
+
+
+def _chosen(session: Session, bus: str | None, only: Direction | None) -> list[Due]:
+    """The frames to play. Raises SessionError."""
+    buses = recorded_buses(session)
+    if bus is None and len(buses) == 1:
+        return recorded(session, buses[0], only)
+    if bus not in buses:
+        raise SessionError(f"{session.path}: choose a bus with --bus: {', '.join(buses) or 'none is recorded'}")
+    return recorded(session, bus, only)
+
+
+def _played(frames: Sequence[Due], interface: str, channel: str, speed: float, *, live: bool) -> Played:
+    """Plays them where that is harmless or wanted. Raises SessionError, CanError, OSError, InUseError."""
+    commanded = {due.frame.id for due in frames if due.frame.received_ns is None}
+    if commanded and interface == "socketcan" and not channel.startswith(VIRTUAL_CHANNELS) and not live:
+        raise SessionError(f"{channel} may lead to motors, and commands would move them: --only rx, or --live")
+    claims = Claims(interface, channel, commanded)
+    try:
+        with can.Bus(interface=interface, channel=channel) as target:
+            if not live and is_alive(target):
+                raise SessionError(f"somebody talks on {channel}: if it is to be so, say --live")
+            return play_frames(frames, target, speed=speed)
+    finally:
+        claims.release()
+
+
+def _show_played(played: Played, channel: str) -> None:
+    timing = f"error of the times: median {played.median_error_us:g} us, 99 % {played.p99_error_us:g} us"
+    console.print(f"{played.frames} frames on {channel} in {played.seconds:g} s; {timing}", highlight=False)
+    if played.not_frames:
+        console.print(f"[yellow]left out[/] {played.not_frames}: no data frame has such an id", highlight=False)
+    if played.not_sent:
+        console.print(f"[red]not sent[/] {played.not_sent}: {played.problem}", highlight=False)
+
+
+@replay.command()
+def run(
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    channel: Annotated[str, typer.Option(help="A virtual CAN interface, e.g. vcan0.")],
+    out: Annotated[Path, typer.Option(help="Directory for the session of the new drive.")] = Path("sessions"),
+    tick: Annotated[int, typer.Option(min=1, max=20, help="As of `drivegate sim`.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable comparison.")] = False,
+) -> None:
+    """Give the recorded commands again, to a live service with the simulated robot on this bus, and compare the drives.
+
+    Alike is: the ends within 0.05 m + 2 % of the path and 0.05 rad, the paths within 0.10 m + 2 %, each wheel's speed
+    within 5 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        found = redrive(open_session(session), channel=channel, out=out, tick_ms=tick)
+    except (SessionError, RedriveError, ConfigError, LinkError, OSError) as error:
+        if json:
+            print_json({"similar": False, "problem": str(error)})
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    if json:
+        print_json(found.as_json())
+    else:
+        _show_comparison(found)
+    raise typer.Exit(1 if found.reasons else 0)
+
+
+def _show_comparison(found: Comparison) -> None:
+    table = Table("what", "difference", title=f"{found.session}, {found.path_m:.2f} m")
+    table.add_row("pose at the end", f"{found.end_m:.3f} m, {found.end_rad:.3f} rad")
+    table.add_row("largest deviation", f"{found.largest_m:.3f} m")
+    table.add_row("wheel speeds, rms", f"{found.wheels_rms:.1%} of the top speed")
+    table.add_row("modes", " ".join(found.modes_redriven))
+    console.print(table)
+    for reason in found.reasons:
+        console.print(f"[red]different[/] {reason}", highlight=False)
+    if not found.reasons:
+        console.print("[green]alike[/]")
 
 
 def verify_with_progress(session: Session) -> Verdict:

@@ -12,7 +12,7 @@ from gateway import realtime, robot_files
 from gateway.can_bus import BusEdge, CanBuses
 from gateway.check import examine
 from gateway.config import RobotConfig, load
-from gateway.recorder import Recorder
+from gateway.recorder import NullRecorder, Recorder
 from gateway.service import Service
 from gateway.systemd import Notifier
 from gateway.types import Outputs
@@ -37,7 +37,7 @@ def run(
     examine(config, str(path))
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()
-    recorder = Recorder(config, config_text=text, config_origin=str(path))
+    recorder = Recorder(config, text, str(path)) if config.recording.enabled else NullRecorder()
     try:
         with ZenohLink(config, text) as link:
             bus, after_cycle = _simulated(config, link) if simulate else (CanBuses(config), None)

@@ -11,7 +11,7 @@ pseudo-inverse of the paper is wrong.
 from collections.abc import Sequence
 from math import cos, hypot, sin
 from operator import mul
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class OmniKinematics:
             solution = self._solution(measured)
             known = [speed for speed in speeds if speed is not None]
         else:
-            solution, known = self._solutions[self._all], speeds
+            solution, known = self._solutions[self._all], cast("list[float]", speeds)
         if solution is None:
             return None
         x, y, z = solution.to_twist

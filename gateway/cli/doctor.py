@@ -1,0 +1,212 @@
+"""`drivegate doctor`: what is wrong with this machine for this robot, line by line, with a cure."""
+
+import ctypes
+import os
+import re
+import resource
+import shutil
+import socket
+import statistics
+import subprocess
+import time
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway import doctor as judge
+from gateway import robot_files
+from gateway.can_link import CanLink, parse_link
+from gateway.cli.output import console, print_json
+from gateway.client import Client
+from gateway.config import Bus, RobotConfig, load
+from gateway.doctor import Finding, Grade, RealTime, Unit
+from gateway.zenoh_session import LinkError
+
+INSTALLED = Path("/etc/drivegate")
+SESSIONS = Path("/var/lib/drivegate")
+ANSWER_S = 3.0
+SLEEPS = 50
+_PACKAGES = ("drivegate", "eclipse-zenoh", "python-can", "rerun-sdk", "numpy", "pydantic")
+_UNIT_KEYS = ("LoadState", "ActiveState", "UnitFileState", "StatusText", "Result", "ExecMainStatus", "NRestarts", "Job")
+_ENDPOINT = re.compile(r"(?:tcp|tls|quic)/\[?(?P<host>[^/\]]+)\]?:(?P<port>\d+)")
+_TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
+_STYLES = {Grade.OK: "green", Grade.NOTE: "yellow", Grade.PROBLEM: "red"}
+
+
+def doctor(
+    file: Annotated[
+        str | None, typer.Argument(help="Robot file, or the name of an installed or bundled one.", show_default="all")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+) -> None:
+    """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, service, versions. Exit 1 on a problem."""
+    findings = [*_machine()]
+    for path in _robot_files(file):
+        findings += _robot(path)
+    if json:
+        lines = [finding._asdict() | {"grade": finding.grade.value} for finding in findings]
+        print_json({"well": judge.exit_code(findings) == 0, "findings": lines})
+    else:
+        _show(findings)
+    raise typer.Exit(judge.exit_code(findings))
+
+
+def _robot_files(file: str | None) -> list[Path]:
+    """The one asked for, the installed one first; or every installed one."""
+    if file is None:
+        return sorted(INSTALLED.glob("*.toml"))
+    installed = INSTALLED / f"{file}.toml"
+    return [installed if installed.exists() else robot_files.find(file)]
+
+
+def _show(findings: list[Finding]) -> None:
+    for subject, grade, text, cure in findings:
+        console.print(f"[{_STYLES[grade]}]{grade.value:8}[/]{subject}: ", end="")
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        if cure is not None:
+            console.print(f"        cure: {cure}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _machine() -> Iterator[Finding]:
+    yield Finding("versions", Grade.OK, ", ".join(_versions()))
+    yield from judge.clock(
+        wall_s=time.clock_gettime(time.CLOCK_REALTIME),
+        synchronised=_synchronised(),
+        resolution_s=time.clock_getres(time.CLOCK_MONOTONIC),
+        source=_text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")) or "unknown source",
+        late_s=_lateness_s(),
+    )
+
+
+def _robot(path: Path) -> Iterator[Finding]:
+    """Raises ConfigError."""
+    config, _ = load(path)
+    name = f"drivegate@{path.stem}.service"
+    unit = _unit(name)
+    active = unit is not None and unit.active == "active"
+    for bus in config.bus:
+        if bus.interface == "socketcan":
+            yield from judge.interface(bus.channel, bus.bitrate, _link(bus))
+    yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
+    directory = SESSIONS / path.stem if path.parent == INSTALLED else Path(config.recording.directory)
+    if config.recording.enabled:
+        limits = config.recording
+        yield judge.disk(str(directory), free=_free(directory), min_free=limits.min_free, budget=limits.disk_budget)
+    yield from _endpoints(config, active=active)
+    yield judge.service(name, unit)
+
+
+def _versions() -> Iterator[str]:
+    system = os.uname()
+    yield f"{system.sysname} {system.release} {system.machine}"
+    for package in _PACKAGES:
+        try:
+            yield f"{package} {metadata.version(package)}"
+        except metadata.PackageNotFoundError:
+            yield f"{package} not installed"
+
+
+def _output(*command: str) -> str | None:
+    """Standard output of a program; None if it is not there or does not answer."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout
+
+
+def _text(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return None
+
+
+def _link(bus: Bus) -> CanLink | None:
+    return parse_link(_output("ip", "-details", "-statistics", "-json", "link", "show", "dev", bus.channel) or "")
+
+
+def _synchronised() -> bool:
+    """As the kernel sees it, whoever keeps the time."""
+    timex = ctypes.create_string_buffer(512)  # struct timex is smaller; modes 0: only read
+    return int(ctypes.CDLL(None).adjtimex(timex)) != _TIME_ERROR
+
+
+def _lateness_s() -> float:
+    """Median lateness of a sleep of one millisecond."""
+    late = []
+    for _ in range(SLEEPS):
+        begin = time.monotonic()
+        time.sleep(1e-3)
+        late.append(time.monotonic() - begin - 1e-3)
+    return statistics.median(late)
+
+
+def _unit(name: str) -> Unit | None:
+    if not Path("/run/systemd/system").is_dir():
+        return None
+    shown = _output("systemctl", "show", "-p", ",".join(_UNIT_KEYS), name)
+    if shown is None:
+        return None
+    values = dict(line.partition("=")[::2] for line in shown.splitlines())
+    return Unit(*(values.get(key, "") for key in _UNIT_KEYS))
+
+
+def _real_time(name: str, *, active: bool, installed: bool) -> RealTime:
+    pid = (_output("systemctl", "show", "-P", "MainPID", name) or "").strip() if active else "0"
+    if pid not in ("", "0"):
+        policy = os.sched_getscheduler(int(pid)) & ~os.SCHED_RESET_ON_FORK
+        locked = re.search(r"VmLck:\s+(\d+)", _text(Path(f"/proc/{pid}/status")) or "")
+        running, has_locked = policy == os.SCHED_FIFO, locked is not None and locked[1] != "0"
+        return RealTime(running, has_locked, may_run=True, may_lock=True)
+    unlimited = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    return RealTime(None, None, may_run=installed or _may_run_real_time(), may_lock=installed or unlimited)
+
+
+def _may_run_real_time() -> bool:
+    """Tried, because a container may refuse it to root and a limit may grant it to a user."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def _free(directory: Path) -> int | None:
+    """Room on the file system where the directory is or will be."""
+    existing = next((path for path in (directory, *directory.absolute().parents) if path.exists()), None)
+    try:
+        return None if existing is None else shutil.disk_usage(existing).free
+    except OSError:
+        return None
+
+
+def _endpoints(config: RobotConfig, *, active: bool) -> Iterator[Finding]:
+    for text in config.zenoh.listen:
+        address = _ENDPOINT.fullmatch(text)
+        if address is None:
+            yield Finding(f"Zenoh {text}", Grade.NOTE, "this kind of endpoint is not checked")
+            continue
+        free = _bindable(address["host"], int(address["port"]))
+        answered = not free and _answers(config.robot.name, text)
+        yield judge.endpoint(text, robot=config.robot.name, free=free, answered=answered, active=active)
+
+
+def _bindable(host: str, port: int) -> bool:
+    try:
+        with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
+            return True
+    except OSError:
+        return False
+
+
+def _answers(robot: str, endpoint: str) -> bool:
+    try:
+        with Client(robot, connect=[re.sub(r"/(\[::\]|0\.0\.0\.0):", "/127.0.0.1:", endpoint)]) as client:
+            return client.wait_alive(ANSWER_S)
+    except LinkError:
+        return False
