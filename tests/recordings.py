@@ -6,8 +6,9 @@ from pathlib import Path
 from gateway.config import RobotConfig, parse
 from gateway.record import Gap, Hello, Record
 from gateway.recorder_writer import SessionWriter
-from gateway.types import Inputs
+from gateway.types import CycleTiming, Inputs
 from replay.session import RecordedOutputs
+from tests.world import World
 
 ROBOT_FILE = Path(__file__).parent.parent / "deploy" / "robots" / "moby.toml"
 STARTED_NS = 1_790_000_000_123_456_789
@@ -18,18 +19,18 @@ def robot_text() -> str:
     return ROBOT_FILE.read_text(encoding="utf-8")
 
 
-def robot(directory: Path, **recording: object) -> RobotConfig:
-    config = parse(robot_text(), "moby.toml")
+def robot(directory: Path, /, text: str = "", **recording: object) -> RobotConfig:
+    config = parse(text or robot_text(), "moby.toml")
     settings = config.recording.model_copy(
         update={"directory": str(directory), "min_free": 1_000_000, **recording}, deep=True
     )
     return config.model_copy(update={"recording": settings})
 
 
-def hello(config: RobotConfig, folder: Path | None = None) -> Hello:
+def hello(config: RobotConfig, folder: Path | None = None, text: str | None = None) -> Hello:
     return Hello(
         config_json=config.model_dump_json(),
-        config_text=robot_text(),
+        config_text=text or robot_text(),
         config_origin="moby.toml",
         folder=None if folder is None else str(folder),
         started_wall_ns=STARTED_NS,
@@ -40,7 +41,7 @@ def hello(config: RobotConfig, folder: Path | None = None) -> Hello:
 def writer(
     directory: Path, *, free: Callable[[Path], int] = lambda _: PLENTY, folder: Path | None = None, **recording: object
 ) -> SessionWriter:
-    config = robot(directory, **recording)
+    config = robot(directory, "", **recording)
     return SessionWriter(config, hello(config, folder), free=free)
 
 
@@ -50,6 +51,15 @@ def write(directory: Path, records: Sequence[Record], *, batch: int = 100, gaps:
     session.write(records[:batch], gaps)
     for start in range(batch, len(records), batch):
         session.write(records[start : start + batch])
+    session.close()
+    return session.folder
+
+
+def write_drive(directory: Path, world: World) -> Path:
+    """The closed session of a drive of tests.world."""
+    config = robot(directory, world.text)
+    session = SessionWriter(config, hello(config, text=world.text), free=lambda _: PLENTY)
+    session.write([Record(inputs, outputs, CycleTiming(0, 0, 0)) for inputs, outputs in world.records])
     session.close()
     return session.folder
 

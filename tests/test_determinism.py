@@ -13,7 +13,7 @@ from gateway.engine import Engine
 from gateway.types import ZERO_TWIST, Inputs, Mode, Outputs, RequestKind, Twist, TwistFrame
 from replay.session import RecordedOutputs, open_session
 from replay.verify import verify
-from tests.recording import record
+from tests.recordings import write_drive
 from tests.world import NAMES, World
 
 both = pytest.mark.parametrize("name", NAMES)
@@ -69,7 +69,7 @@ def test_a_recorded_drive_replays_verbatim(
     name: str, script: list[tuple[Any, ...]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     world = play(name, script)
-    session = open_session(record(world, tmp_path_factory.mktemp("session")))
+    session = open_session(write_drive(tmp_path_factory.mktemp("session"), world))
     read = list(session.cycles())
     assert read == [(inputs, RecordedOutputs.of(outputs)) for inputs, outputs in world.records]
     verdict = verify(session)
@@ -92,7 +92,7 @@ def changed_byte(outputs: Outputs) -> Outputs:
 def test_verify_names_motor_field_and_values_of_a_shared_frame(tmp_path: Path) -> None:
     """One DJI frame carries four motors: the difference names the one whose current differs."""
     world = play("omni4", [("stream", Twist(0.5, 0.0, 0.0), "teleop", TwistFrame.BODY, 50)])
-    verdict = verify(open_session(record(tampered(world, len(world.records) - 1, changed_byte), tmp_path)))
+    verdict = verify(open_session(write_drive(tmp_path, tampered(world, len(world.records) - 1, changed_byte))))
     difference = verdict.first_difference
     assert verdict.exit_code == 1
     assert difference is not None
@@ -104,7 +104,7 @@ def test_verify_names_motor_field_and_values_of_a_shared_frame(tmp_path: Path) -
 def test_verify_names_motor_field_and_values_of_a_velocity(tmp_path: Path) -> None:
     world = play("moby", [("stream", Twist(0.5, 0.0, 0.0), "teleop", TwistFrame.BODY, 50)])
     last = len(world.records) - 1
-    verdict = verify(open_session(record(tampered(world, last, changed_byte), tmp_path)))
+    verdict = verify(open_session(write_drive(tmp_path, tampered(world, last, changed_byte))))
     difference = verdict.first_difference
     assert difference is not None
     assert (difference.cycle, difference.motor) == (last, "left")
@@ -122,7 +122,7 @@ def test_verify_tells_missing_frames_and_modes(tmp_path: Path) -> None:
         world = tampered(play("moby", []), 60, change)
         directory = tmp_path / str(index)
         directory.mkdir()
-        difference = verify(open_session(record(world, directory))).first_difference
+        difference = verify(open_session(write_drive(directory, world))).first_difference
         assert difference is not None
         assert (difference.cycle, difference.field) == (60, field)
 
@@ -130,7 +130,7 @@ def test_verify_tells_missing_frames_and_modes(tmp_path: Path) -> None:
 def test_verify_says_what_is_missing(tmp_path: Path) -> None:
     world = play("moby", [])
     del world.records[50:60]
-    verdict = verify(open_session(record(world, tmp_path)))
+    verdict = verify(open_session(write_drive(tmp_path, world)))
     assert verdict.exit_code == 2
     assert verdict.problem == "cycles 50 to 59 are missing from the recording"
     assert verdict.cycles == 50

@@ -6,7 +6,7 @@ from pathlib import Path
 from gateway.types import Twist
 from replay.session import open_session
 from replay.verify import verify
-from tests.recording import record
+from tests.recordings import write_drive
 from tests.world import NAMES, World
 
 RATE_HZ = 1000.0
@@ -24,7 +24,7 @@ def measure() -> dict[str, float]:
         for twist in COURSE:
             world.run(LEG_S, twist)
         with tempfile.TemporaryDirectory() as directory:
-            folder = record(world, Path(directory))
+            folder = write_drive(Path(directory), world)
             verdicts = [verify(open_session(folder)) for _ in range(REPEATS)]
             assert all(verdict.identical for verdict in verdicts)
             figures[f"verify_realtime_ratio_{name}"] = max(verdict.realtime_ratio for verdict in verdicts)
