@@ -29,7 +29,10 @@ class Difference(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What verify found. `problem` says why a session could not be replayed to its end."""
+    """What verify found. `problem` says why a session could not be replayed to its end.
+
+    `complete`: every segment was closed; else the last moments of the session may never have reached the disk.
+    """
 
     identical: bool
     cycles: int
@@ -37,6 +40,7 @@ class Verdict(NamedTuple):
     realtime_ratio: float
     first_difference: Difference | None
     problem: str | None
+    complete: bool
 
     @property
     def exit_code(self) -> int:
@@ -52,6 +56,7 @@ class Verdict(NamedTuple):
             "identical": self.identical,
             "cycles": self.cycles,
             "frames": self.frames,
+            "complete": self.complete,
             "realtime_ratio": round(self.realtime_ratio, 2),
             "first_difference": None if difference is None else difference._asdict(),
             "problem": self.problem,
@@ -95,6 +100,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
         realtime_ratio=covered_ns / elapsed_ns,
         first_difference=difference,
         problem=None if difference is not None else problem,
+        complete=session.complete,
     )
 
 

@@ -19,8 +19,12 @@ def robot_text() -> str:
     return ROBOT_FILE.read_text(encoding="utf-8")
 
 
-def robot(directory: Path, /, text: str = "", **recording: object) -> RobotConfig:
-    config = parse(text or robot_text(), "moby.toml")
+def robot(directory: Path, **recording: object) -> RobotConfig:
+    return stored(parse(robot_text(), "moby.toml"), directory, **recording)
+
+
+def stored(config: RobotConfig, directory: Path, **recording: object) -> RobotConfig:
+    """The same robot with its sessions in this directory."""
     settings = config.recording.model_copy(
         update={"directory": str(directory), "min_free": 1_000_000, **recording}, deep=True
     )
@@ -41,7 +45,7 @@ def hello(config: RobotConfig, folder: Path | None = None, text: str | None = No
 def writer(
     directory: Path, *, free: Callable[[Path], int] = lambda _: PLENTY, folder: Path | None = None, **recording: object
 ) -> SessionWriter:
-    config = robot(directory, "", **recording)
+    config = robot(directory, **recording)
     return SessionWriter(config, hello(config, folder), free=free)
 
 
@@ -57,7 +61,7 @@ def write(directory: Path, records: Sequence[Record], *, batch: int = 100, gaps:
 
 def write_drive(directory: Path, world: World) -> Path:
     """The closed session of a drive of tests.world."""
-    config = robot(directory, world.text)
+    config = stored(world.config, directory)
     session = SessionWriter(config, hello(config, text=world.text), free=lambda _: PLENTY)
     session.write([Record(inputs, outputs, CycleTiming(0, 0, 0)) for inputs, outputs in world.records])
     session.close()
