@@ -14,16 +14,20 @@ from math import ceil, sqrt
 
 from gateway.types import ZERO_TWIST, Twist
 
-_AXES = range(3)
 _ROUNDING = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
+
+
+def excess(vector: Twist, limits: Twist) -> float:
+    """How many times the limit the worst axis takes."""
+    x, y, z = vector
+    limit_x, limit_y, limit_z = limits
+    return max(abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z)
 
 
 def scale_to(vector: Twist, limits: Twist) -> Twist:
     """The vector, shortened until every axis is within its limit."""
-    excess = max(abs(vector.vx) / limits.vx, abs(vector.vy) / limits.vy, abs(vector.wz) / limits.wz)
-    if excess <= 1.0:
-        return vector
-    return Twist(vector.vx / excess, vector.vy / excess, vector.wz / excess)
+    worst = excess(vector, limits)
+    return vector if worst <= 1.0 else _scaled(vector, 1.0 / worst)
 
 
 class TwistLimiter:
@@ -49,8 +53,8 @@ class TwistLimiter:
 
     def scale(self, factor: float) -> None:
         """A later limit shortened the setpoint: continue from what is really driven."""
-        self.setpoint = Twist(*(value * factor for value in self.setpoint))
-        self._rate = Twist(*(value * factor for value in self._rate))
+        self.setpoint = _scaled(self.setpoint, factor)
+        self._rate = _scaled(self._rate, factor)
 
     def step(self, target: Twist, dt: float, *, effort: float = 1.0) -> tuple[Twist, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
@@ -61,35 +65,43 @@ class TwistLimiter:
         active: tuple[str, ...] = () if wanted is target else ("velocity",)
         if dt <= 0.0 or (wanted == self.setpoint and self._rate == ZERO_TWIST):
             return self.setpoint, active
-        way = Twist(*(w - s for w, s in zip(wanted, self.setpoint, strict=True)))
+        way = _sum(wanted, self.setpoint, -1.0)
         if self._arrives(way, dt):
-            self.setpoint, self._rate = wanted, Twist(*(w / dt for w in way))
+            self.setpoint, self._rate = wanted, _scaled(way, 1.0 / dt)
             return wanted, active
         self._turn_rate(way, dt, effort)
-        self.setpoint = scale_to(
-            Twist(*(s + r * dt for s, r in zip(self.setpoint, self._rate, strict=True))), self._velocity
-        )
+        self.setpoint = scale_to(_sum(self.setpoint, self._rate, dt), self._velocity)
         return self.setpoint, (*active, "acceleration")
 
     def _arrives(self, way: Twist, dt: float) -> bool:
         """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
-        for axis in _AXES:
-            rate, step = way[axis] / dt, self._jerk[axis] * dt
-            if abs(rate) > min(step, self._acceleration[axis]) or abs(rate - self._rate[axis]) > step * _ROUNDING:
-                return False
-        return True
+        if excess(way, self._acceleration) > dt:
+            return False
+        rate = _scaled(way, 1.0 / dt)
+        change = _sum(rate, self._rate, -1.0)
+        return excess(rate, self._jerk) <= dt and excess(change, self._jerk) <= dt * _ROUNDING
 
     def _turn_rate(self, way: Twist, dt: float, effort: float) -> None:
-        limits = self._acceleration
-        length = max(abs(way[axis]) / limits[axis] for axis in _AXES) / effort
+        length = excess(way, self._acceleration) / effort
         gain = min(1.0, self._landing_rate(length / dt, self._rho * dt)) / length if length > 0.0 else 0.0
-        change = [way[axis] * gain - self._rate[axis] for axis in _AXES]
-        excess = max(abs(change[axis]) / (self._jerk[axis] * dt) for axis in _AXES)
-        share = 1.0 / excess if excess > 1.0 else 1.0
-        self._rate = Twist(*(rate + delta * share for rate, delta in zip(self._rate, change, strict=True)))
+        change = _sum(_scaled(way, gain), self._rate, -1.0)
+        worst = excess(change, self._jerk) / dt
+        self._rate = _sum(self._rate, change, 1.0 / worst if worst > 1.0 else 1.0)
 
     @staticmethod
     def _landing_rate(way: float, fall: float) -> float:
         """Rate from which steps that fall by `fall` each cover the way (in rate times steps) and end at zero."""
         steps = max(1, ceil(sqrt(0.25 + 2.0 * way / fall) - 0.5 - 1e-9))
         return way / steps + fall * (steps - 1) / 2.0
+
+
+def _scaled(vector: Twist, factor: float) -> Twist:
+    x, y, z = vector
+    return Twist(x * factor, y * factor, z * factor)
+
+
+def _sum(vector: Twist, other: Twist, factor: float) -> Twist:
+    """vector + factor * other"""
+    x, y, z = vector
+    other_x, other_y, other_z = other
+    return Twist(x + factor * other_x, y + factor * other_y, z + factor * other_z)
