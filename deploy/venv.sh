@@ -1,3 +1,4 @@
+# shellcheck shell=sh
 # Sourced by the scripts that set up a virtual environment: `make_venv DIRECTORY`, idempotent.
 # Debian ships Python without ensurepip; its python3-venv package brings it.
 

@@ -344,3 +344,20 @@ def test_names_of_sessions_and_segments(tmp_path: Path) -> None:
         (first / f"segment-{number:05d}.rrd").touch()
     assert [path.name for path in segments(first)][-1] == "segment-100000.rrd"
     assert next_segment(first) == 100_001
+
+
+def test_a_recorder_slow_to_start_costs_neither_the_start_nor_a_cycle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "READY_TIMEOUT_S", 0.0)
+    records = list(drive(400))
+    recorder = start(tmp_path)
+    assert recorder.session is None
+    assert recorder.error is not None
+    assert "not ready" in recorder.error
+    put(recorder, records)
+    until(recorder, lambda: recorder.session is not None)
+    assert recorder.close(PATIENCE_S)
+    assert recorder.error is None
+    assert recorder.dropped == 0
+    assert list(read(recorder).cycles()) == expected(records)
