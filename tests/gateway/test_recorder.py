@@ -358,6 +358,6 @@ def test_a_recorder_slow_to_start_costs_neither_the_start_nor_a_cycle(
     put(recorder, records)
     until(recorder, lambda: recorder.session is not None)
     assert recorder.close(PATIENCE_S)
-    assert recorder.error is None
+    assert recorder.health()["error"] is None
     assert recorder.dropped == 0
     assert list(read(recorder).cycles()) == expected(records)
