@@ -61,7 +61,7 @@ def limits_hold(world: World) -> None:
 @few
 @given(script=scripts)
 def test_silence_always_ends_at_rest(name: str, script: Script) -> None:
-    """Six seconds after the last word, whatever happened before, the core has let go of every motor and the robot stands."""
+    """Six seconds after the last word, whatever happened before: every motor let go, and the robot stands."""
     world = play(name, script)
     world.run(6.0)
     assert world.last.mode in {Mode.IDLE, Mode.ESTOP, Mode.FAULT}
