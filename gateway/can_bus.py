@@ -13,9 +13,11 @@ driver wants to hear, and error frames: foreign traffic costs the loop nothing.
 
 import errno
 import logging
+import os
 import socket
 import time
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import can
@@ -34,6 +36,7 @@ STUCK_CYCLES = 25  # cycles in a row in which not every frame could be sent: nob
 MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel
 SEND_BUFFER = 8192  # bytes; an skb of one CAN frame counts for about 800, so this holds about ten frames
 
+_INTERFACES = Path("/proc/self/net/dev")  # of the network namespace of this process
 _ENDS_BUS_OFF = (BusEventKind.RESTARTED, BusEventKind.ERROR_ACTIVE)
 
 
@@ -115,7 +118,7 @@ class _Channel:
     def _open(self) -> None:
         """Open the interface; bit rate matters only where python-can sets it (not on socketcan)."""
         if self._config.interface == "socketcan":
-            socket.if_nametoindex(self._config.channel)  # python-can would leak its socket on a missing interface
+            _check_exists(self._config.channel)  # python-can would leak its socket on a missing interface
         bus = can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
         raw = getattr(bus, "socket", None)
         if isinstance(raw, socket.socket):
@@ -247,6 +250,21 @@ def _message(frame: CanFrame) -> can.Message:
     return can.Message(
         arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote
     )
+
+
+def interface_exists(channel: str) -> bool:
+    """Whether this network interface is there now.
+
+    Read from proc, because asking by name makes the kernel look for a module of that name if one may load modules, and
+    that held the loop up for seconds (measured).
+    """
+    lines = _INTERFACES.read_text(encoding="utf-8").splitlines()
+    return any(line.partition(":")[0].strip() == channel for line in lines)
+
+
+def _check_exists(channel: str) -> None:
+    if not interface_exists(channel):
+        raise OSError(errno.ENODEV, os.strerror(errno.ENODEV), channel)
 
 
 def _can_filter(wanted: ReceiveFilter) -> can.typechecking.CanFilter:

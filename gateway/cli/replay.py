@@ -13,9 +13,10 @@ from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
 from gateway.exclusive import Claims
 from gateway.zenoh_session import LinkError
+from replay.comparison import Comparison
 from replay.player import Direction, Due, Played, is_alive, recorded, recorded_buses
 from replay.player import play as play_frames
-from replay.redrive import Comparison, RedriveError, redrive
+from replay.redrive import RedriveError, redrive
 from replay.session import Session, SessionError, open_session
 from replay.verify import Verdict
 from replay.verify import verify as run_verify
@@ -128,7 +129,7 @@ def run(
     """Give the recorded commands again, to a live service with the simulated robot on this bus, and compare the drives.
 
     Alike is: the ends within 0.05 m + 2 % of the path and 0.05 rad, the paths within 0.10 m + 2 %, each wheel's speed
-    within 5 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible.
+    within 3 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -2,12 +2,12 @@
 
 import errno
 import logging
-import socket
 import time
 from collections.abc import Iterable
 
 import can
 
+from gateway.can_bus import interface_exists
 from gateway.config import Motor
 
 logger = logging.getLogger(__name__)
@@ -57,12 +57,12 @@ class MotorsInterface(can.BusABC):
         if self._bus is not None:
             return self._bus
         now_ns = time.monotonic_ns()
-        if now_ns < self._retry_ns:
-            raise can.CanOperationError(f"{self._channel} is not there")
-        self._retry_ns = now_ns + REOPEN_NS
-        socket.if_nametoindex(self._channel)  # python-can would leak its socket on a missing interface
-        self._bus = can.Bus(interface="socketcan", channel=self._channel, can_filters=self._filters_wanted)
-        return self._bus
+        if now_ns >= self._retry_ns:
+            self._retry_ns = now_ns + REOPEN_NS
+            if interface_exists(self._channel):  # python-can would leak its socket
+                self._bus = can.Bus(interface="socketcan", channel=self._channel, can_filters=self._filters_wanted)
+                return self._bus
+        raise can.CanOperationError(f"{self._channel} is not there")
 
     def _forget_if_gone(self, error: can.CanOperationError) -> None:
         """A socket whose interface was deleted is dead for ever; a full queue or a link that is down passes."""

@@ -6,12 +6,13 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from math import dist
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
 from gateway.client import Client
-from gateway.messages import StateMessage
+from gateway.messages import StateMessage, TruthMessage
 from gateway.types import Mode
 from replay.session import Session, open_session
 from tests.world import ROBOTS
@@ -20,7 +21,9 @@ START_S = 60.0
 WAIT_S = 20.0
 STREAM_HZ = 50.0
 RATE_HZ = 100.0  # what the virtual machine holds at ease; 250 Hz only on an idle host
-TICK_MS = 4
+TICK_MS = 5
+ZERO, GO = (0.0, 0.0, 0.0), (0.3, 0.0, 0.0)
+REST_S, STILL_M = 0.3, 0.001  # a robot that moved less than this in that time has come to rest
 
 Condition = Callable[[StateMessage], bool]
 
@@ -43,11 +46,16 @@ def fresh_vcan0() -> None:
 
 
 def robot_file(name: str, directory: Path, channel: str) -> Path:
-    """The bundled robot at a pace for the virtual machine."""
+    """The bundled robot at a pace for the virtual machine, which stalls: silence of anybody counts later."""
     text = (ROBOTS / f"{name}.toml").read_text(encoding="utf-8")
     for before, after in (
-        ("rate = 250.0", f"rate = {RATE_HZ}"),
-        ("feedback_rate = 1000.0", "feedback_rate = 200.0"),
+        ("feedback_rate = 1000.0", "feedback_rate = 30.0"),
+        ("speed_loop = { kp = 2.0, ki = 4.0 }", "speed_loop = { kp = 0.3, ki = 0.6 }"),
+        ("feedback_rate = 250.0", "feedback_rate = 25.0"),
+        ("priority = 100, timeout = 0.3", "priority = 100, timeout = 1.0"),
+        ("priority = 10, timeout = 0.2", "priority = 10, timeout = 1.0"),
+        ("[loop]\nrate = 250.0", f"[loop]\nrate = {RATE_HZ}"),
+        ("watchdog = { timeout = 0.1", "watchdog = { timeout = 0.5"),
         ('channel = "can0"', f'channel = "{channel}"'),
     ):
         text = text.replace(before, after)
@@ -71,9 +79,9 @@ def end(process: subprocess.Popen[bytes], number: int = signal.SIGTERM) -> int:
 
 
 @contextmanager
-def candump(log: Path, channel: str = "vcan0") -> Iterator[None]:
+def candump(log: Path, *channels: str) -> Iterator[None]:
     """Listens on the bus into a file."""
-    with log.open("wb") as output, subprocess.Popen(["candump", "-L", channel], stdout=output) as process:
+    with log.open("wb") as output, subprocess.Popen(["candump", "-L", *channels], stdout=output) as process:
         try:
             yield
         finally:
@@ -87,7 +95,7 @@ def heard(log: Path) -> list[Heard]:
         if not line.endswith("\n"):
             break
         stamp, _, frame = line.split()
-        identifier, _, data = frame.partition("#")
+        identifier, _, data = frame.partition("#")  # error frames have eight digits
         if len(identifier) == 3 and not data.startswith("R"):
             frames.append(Heard(round(float(stamp[1:-1]) * 1e9), int(identifier, 16), bytes.fromhex(data)))
     return frames
@@ -107,12 +115,17 @@ class VcanRobot:
         self.sessions.mkdir()
         self.endpoint, self.truth_endpoint = (f"tcp/127.0.0.1:{number}" for number in (port, port + 1))
         self._motors_channel = motors or channel
-        self.start_motors()
+        self.motors: subprocess.Popen[bytes] | None = None
         self.service = drivegate(
             "run", str(self.file), "--out", str(self.sessions), "--endpoint", self.endpoint, log=self.log
         )
         self.client = Client(name, connect=[self.endpoint, self.truth_endpoint])
-        assert self.client.wait_alive(START_S), self.words()
+        try:
+            self._await_service()
+            self.start_motors()
+        except AssertionError:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -120,9 +133,25 @@ class VcanRobot:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends all of them."""
         self.client.close()
         end(self.service)
-        end(self.motors)
+        if self.motors is not None:
+            end(self.motors)
+
+    def kill_motors(self) -> None:
+        """Power off, without a word."""
+        assert self.motors is not None
+        end(self.motors, signal.SIGKILL)
+
+    def _await_service(self) -> None:
+        deadline = time.monotonic() + START_S
+        while not self.client.wait_alive(0.5):
+            assert self.service.poll() is None, self.words()
+            assert time.monotonic() < deadline, self.words()
 
     def start_motors(self) -> None:
         """Power on: the simulated controllers and robot, at the origin."""
@@ -158,13 +187,38 @@ class VcanRobot:
         assert found is not None, f"not reached in {timeout} s: {self.words()}"
         return found
 
-    def start(self) -> StateMessage:
-        return self.stream((0.0, 0.0, 0.0), in_mode(Mode.DRIVE))
+    def start(self, source: str = "teleop") -> StateMessage:
+        """Ready to drive; a latched fault is reset first."""
+        reason = self.watch(lambda _: True).status.reason or ""
+        if reason.endswith("needs a reset"):
+            assert self.client.reset().ok, self.words()
+        return self.stream(ZERO, in_mode(Mode.DRIVE), source=source)
 
-    def drive(self, vx: float = 0.3) -> StateMessage:
-        """Starts and drives forward at speed."""
-        self.start()
-        return self.stream((vx, 0.0, 0.0), faster_than(0.8 * vx))
+    def drive(self, twist: tuple[float, float, float] = GO, source: str = "teleop") -> StateMessage:
+        """Starts and drives at speed; once more if the machine stalled so long that the motors seemed silent."""
+        deadline = time.monotonic() + 3.0 * WAIT_S
+        reached = at_speed(twist)
+        while time.monotonic() < deadline:
+            self.start(source)
+            state = self.stream(
+                twist, lambda state: state.status.mode is not Mode.DRIVE or reached(state), source=source
+            )
+            if state.status.mode is Mode.DRIVE:
+                return state
+        raise AssertionError(f"does not drive: {self.words()}")
+
+    def await_truth_at_rest(self, twist: tuple[float, float, float]) -> TruthMessage:
+        """Sends this twist until the simulated robot stands."""
+        seen: list[TruthMessage] = []
+
+        def still(_: StateMessage) -> bool:
+            truth = self.client.truth()
+            if truth is not None and (not seen or truth.t > seen[-1].t + REST_S):
+                seen.append(truth)
+            return len(seen) > 1 and dist((seen[-1].x, seen[-1].y), (seen[-2].x, seen[-2].y)) < STILL_M
+
+        self.stream(twist, still)
+        return seen[-1]
 
     def finish(self) -> Session:
         """Ends the service as systemd would; its session."""
@@ -179,6 +233,16 @@ def in_mode(*modes: Mode) -> Condition:
 
 def faster_than(speed: float) -> Condition:
     return lambda state: state.status.twist is not None and abs(state.status.twist.vx) > speed
+
+
+def at_speed(twist: tuple[float, float, float]) -> Condition:
+    """Within a fifth of the commanded speed."""
+
+    def reached(state: StateMessage) -> bool:
+        measured = state.status.twist
+        return measured is not None and dist(measured, twist) < 0.2 * dist(ZERO, twist)
+
+    return reached
 
 
 def standing(state: StateMessage) -> bool:

@@ -1,0 +1,281 @@
+"""The CAN edge against a scripted python-can bus, and against python-can's own virtual one."""
+
+import errno
+import os
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+
+import can
+import pytest
+
+from drivers.interface import CanFrame
+from gateway.can_bus import MAX_FRAMES_PER_DRAIN, REOPEN_NS, STUCK_CYCLES, CanBuses, interface_exists
+from gateway.config import ConfigError, RobotConfig, load
+from gateway.exclusive import Claims, InUseError
+from gateway.robot import build
+from gateway.types import BusEventKind
+from tests.world import NAMES, ROBOTS, World
+
+LEFT = 1 << 5
+SETPOINT = CanFrame("can0", LEFT | 0x0D, bytes(8))
+STEP_NS = 10_000_000
+BUS_OFF, RESTARTED, CONTROLLER = 0x40, 0x100, 0x04
+Kinds = list[BusEventKind]
+
+
+class ScriptedBus:
+    """A bus of which a test says what is received, and what fails how."""
+
+    def __init__(self) -> None:
+        self.inbox: deque[can.Message | Exception] = deque()
+        self.failure: Exception | None = None
+        self.room: int | None = None  # frames that still fit
+        self.sent: list[can.Message] = []
+        self.closed = False
+
+    def recv(self, _timeout: float) -> can.Message | None:
+        if not self.inbox:
+            return None
+        item = self.inbox.popleft()
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        assert timeout == 0
+        if self.failure is not None and self.room in (None, len(self.sent)):
+            raise self.failure
+        self.sent.append(message)
+
+    def shutdown(self) -> None:
+        self.closed = True
+
+
+class Bench:
+    """The edge on one scripted bus that can be opened or not."""
+
+    def __init__(self, config: RobotConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.opened: list[ScriptedBus] = []
+        self.open_failure: Exception | None = None
+        self.now_ns = 10**12
+        monkeypatch.setattr(can, "Bus", self._open)
+        self.edge = CanBuses(config)
+
+    @property
+    def bus(self) -> ScriptedBus:
+        return self.opened[-1]
+
+    def _open(self, **_: object) -> ScriptedBus:
+        if self.open_failure is not None:
+            raise self.open_failure
+        self.opened.append(ScriptedBus())
+        return self.opened[-1]
+
+    def cycle(self, *frames: CanFrame) -> tuple[list[CanFrame], Kinds]:
+        """Receive, then send, as the service does."""
+        self.now_ns += STEP_NS
+        received, events = self.edge.receive(self.now_ns)
+        self.edge.send(frames, self.now_ns)
+        return received, [event.kind for event in events]
+
+    def cycles(self, number: int, *frames: CanFrame) -> Kinds:
+        return [kind for _ in range(number) for kind in self.cycle(*frames)[1]]
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Bench]:
+    bench = Bench(on_interface("scripted", request.node.name), monkeypatch)
+    bench.cycle()
+    yield bench
+    bench.edge.close()
+
+
+def on_interface(interface: str, channel: str) -> RobotConfig:
+    config = load(ROBOTS / "moby.toml")[0]
+    bus = config.bus[0].model_copy(update={"interface": interface, "channel": channel[:64]})
+    return config.model_copy(update={"bus": [bus]})
+
+
+def failure(number: int) -> can.CanOperationError:
+    return can.CanOperationError(os.strerror(number), number)
+
+
+def heartbeat(timestamp: float = 0.0, *, is_rx: bool = True) -> can.Message:
+    return can.Message(arbitration_id=LEFT | 1, data=bytes(8), is_extended_id=False, timestamp=timestamp, is_rx=is_rx)
+
+
+def error_frame(classes: int, state: int = 0) -> can.Message:
+    return can.Message(arbitration_id=classes, data=bytes([0, state, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
+
+
+def test_a_link_that_is_down_is_told_once_and_comes_back_on_the_same_socket(bench: Bench) -> None:
+    bench.bus.failure = failure(errno.ENETDOWN)
+    kinds = bench.cycles(10, SETPOINT)
+    assert kinds.count(BusEventKind.DOWN) == 1
+    assert kinds.count(BusEventKind.TX_DROPPED) == 9
+    bench.bus.inbox.append(heartbeat())
+    assert BusEventKind.UP not in bench.cycles(2, SETPOINT)  # hearing is not enough
+    bench.bus.failure = None
+    assert bench.cycles(2, SETPOINT).count(BusEventKind.UP) == 1
+    assert len(bench.opened) == 1
+
+
+def test_what_could_not_be_sent_in_its_cycle_is_never_sent(bench: Bench) -> None:
+    bench.bus.failure = failure(errno.ENETDOWN)
+    stale = SETPOINT._replace(data=b"\1" * 8)
+    bench.cycles(5, stale)
+    bench.bus.failure = None
+    bench.cycles(5, SETPOINT)
+    assert {bytes(message.data) for message in bench.bus.sent} == {bytes(8)}
+
+
+@pytest.mark.parametrize("number", [errno.ENODEV, errno.ENXIO])
+def test_a_deleted_interface_is_reopened_when_it_is_there_again(bench: Bench, number: int) -> None:
+    first = bench.bus
+    first.inbox.append(failure(number))
+    bench.open_failure = OSError(errno.ENODEV, "No such device")
+    assert bench.cycles(2, SETPOINT) == [BusEventKind.DOWN, BusEventKind.TX_DROPPED]
+    assert first.closed
+    bench.cycles(2 * REOPEN_NS // STEP_NS, SETPOINT)
+    bench.open_failure = None
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert len(bench.opened) == 2
+
+
+def test_an_interface_that_is_missing_at_the_start_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    bench = Bench(on_interface("scripted", request.node.name), monkeypatch)
+    bench.open_failure = OSError(errno.ENODEV, "No such device")
+    assert bench.cycle()[1] == [BusEventKind.DOWN]
+    bench.open_failure = None
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    bench.edge.close()
+
+
+@pytest.mark.parametrize("room", [None, 1])
+def test_a_queue_that_stays_full_is_down_though_motors_are_heard(bench: Bench, room: int | None) -> None:
+    bench.bus.failure, bench.bus.room = failure(errno.ENOBUFS), room
+    kinds: Kinds = []
+    for _ in range(2 * STUCK_CYCLES):
+        bench.bus.inbox.append(heartbeat())
+        kinds += bench.cycle(SETPOINT, SETPOINT)[1]
+    assert kinds.index(BusEventKind.DOWN) == STUCK_CYCLES
+    assert kinds.count(BusEventKind.DOWN) == 1
+    assert BusEventKind.UP not in kinds
+    bench.bus.failure = None
+    assert BusEventKind.UP in bench.cycles(2, SETPOINT, SETPOINT)
+
+
+def test_a_queue_that_is_full_for_a_moment_only_drops(bench: Bench) -> None:
+    bench.bus.failure = can.CanOperationError("Transmit buffer full")
+    assert set(bench.cycles(STUCK_CYCLES - 1, SETPOINT)) == {BusEventKind.TX_DROPPED}
+    bench.bus.failure = None
+    assert bench.cycles(3, SETPOINT) == [BusEventKind.TX_DROPPED]
+
+
+def test_bus_off_lasts_until_the_controller_says_so_or_hears_somebody(bench: Bench) -> None:
+    for end in (error_frame(RESTARTED), heartbeat(), error_frame(CONTROLLER, 0x40)):
+        bench.bus.inbox.append(error_frame(BUS_OFF))
+        assert bench.cycle(SETPOINT)[1] == [BusEventKind.BUS_OFF, BusEventKind.DOWN]
+        bench.bus.inbox.append(heartbeat(is_rx=False))  # of this very machine
+        assert bench.cycles(3, SETPOINT) == []
+        bench.bus.inbox.append(end)
+        assert BusEventKind.UP in bench.cycles(2, SETPOINT)
+
+
+def test_a_shower_of_error_frames_is_one_event_and_no_frame(bench: Bench) -> None:
+    bench.bus.inbox.extend(error_frame(CONTROLLER, 0x10) for _ in range(100))
+    bench.now_ns += STEP_NS
+    frames, events = bench.edge.receive(bench.now_ns)
+    assert frames == []
+    assert [(event.kind, event.occurrences) for event in events] == [(BusEventKind.ERROR_PASSIVE, 100)]
+
+
+def test_a_flood_is_taken_in_parts(bench: Bench) -> None:
+    bench.bus.inbox.extend(heartbeat() for _ in range(MAX_FRAMES_PER_DRAIN + 5))
+    assert len(bench.cycle()[0]) == MAX_FRAMES_PER_DRAIN
+    assert len(bench.cycle()[0]) == 5
+
+
+def test_stamps_neither_fall_nor_lie_in_the_future(bench: Bench) -> None:
+    bench.bus.inbox.extend(heartbeat(stamp) for stamp in (3e9, 1.0, 2.0))  # a wall clock that was set meanwhile
+    received, _ = bench.cycle()
+    stamps = [frame.received_ns or 0 for frame in received]
+    assert stamps == sorted(stamps)
+    assert max(stamps) <= bench.now_ns
+
+
+def test_an_unknown_interface_is_an_error_of_the_robot_file(request: pytest.FixtureRequest) -> None:
+    edge = CanBuses(on_interface("nonsense", request.node.name))
+    with pytest.raises(ConfigError, match=r"bus can0: interface: .*nonsense"):
+        edge.receive(10**12)
+    edge.close()
+
+
+def test_two_services_for_the_same_motors_refuse_until_the_first_has_ended(request: pytest.FixtureRequest) -> None:
+    config = on_interface("virtual", request.node.name)
+    first = CanBuses(config)
+    with pytest.raises(InUseError, match=f"process {os.getpid()} already commands CAN id 0x"):
+        CanBuses(config)
+    first.close()
+    CanBuses(config).close()
+
+
+def test_other_motors_on_the_same_bus_are_nobodys_business(request: pytest.FixtureRequest) -> None:
+    claims = Claims("socketcan", request.node.name, [0x200])
+    others = Claims("socketcan", request.node.name, [0x1FF])
+    with pytest.raises(InUseError):
+        Claims("socketcan", request.node.name, [0x100, 0x200])
+    Claims("socketcan", request.node.name, [0x100]).release()  # a refused claim holds nothing
+    claims.release()
+    others.release()
+
+
+def test_a_killed_process_holds_nothing(request: pytest.FixtureRequest) -> None:
+    program = (
+        "import sys, time; from gateway.exclusive import Claims; "
+        f"claims = Claims('socketcan', {request.node.name!r}, [1]); print('held', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(InUseError, match=f"process {holder.pid} "):
+            Claims("socketcan", request.node.name, [1])
+        holder.kill()
+    Claims("socketcan", request.node.name, [1]).release()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_kernel_filters_let_pass_whatever_the_motors_say_and_nothing_foreign(name: str) -> None:
+    world = World(name)
+    world.start()
+    filters = [wanted for group in build(world.config).groups for wanted in group.driver.receive_filters()]
+    heard = {frame.id for inputs, _ in world.records for frame in inputs.frames}
+    assert all(any(identifier & mask == wanted for wanted, mask, _ in filters) for identifier in heard)
+    assert not any(0x7A5 & mask == wanted for wanted, mask, _ in filters)
+    assert not any(wanted.extended for wanted in filters)
+
+
+@pytest.mark.parametrize(("name", "expected"), [("lo", True), ("nonsense0", False)])
+def test_interfaces_are_found(name: str, expected: bool) -> None:
+    assert interface_exists(name) is expected
+
+
+def test_frames_pass_both_ways_on_a_virtual_bus(request: pytest.FixtureRequest) -> None:
+    config = on_interface("virtual", request.node.name)
+    receive: Callable[[int], object] = (edge := CanBuses(config)).receive
+    receive(10**18)
+    with can.Bus(interface="virtual", channel=config.bus[0].channel) as motors:
+        edge.send([SETPOINT], 10**18)
+        message = motors.recv(1.0)
+        assert message is not None
+        assert (message.arbitration_id, message.is_extended_id) == (SETPOINT.id, False)
+        motors.send(heartbeat())
+        frames, _ = edge.receive(10**18)
+        assert [(frame.bus, frame.id, frame.extended) for frame in frames] == [("can0", LEFT | 1, False)]
+    edge.close()
