@@ -3,13 +3,14 @@
 import logging
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gateway import realtime, robot_files
-from gateway.can_bus import BusEdge, CanBuses
+from gateway.can_bus import CanBuses
 from gateway.check import examine
 from gateway.config import RobotConfig, load
 from gateway.recorder import NullRecorder, Recorder
@@ -37,20 +38,16 @@ def run(
     examine(config, str(path))
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()
-    recorder = Recorder(config, text, str(path)) if config.recording.enabled else NullRecorder()
-    try:
-        with ZenohLink(config, text) as link:
-            bus, after_cycle = _simulated(config, link) if simulate else (CanBuses(config), None)
-            realtime.enter()  # now that every thread of the link exists
-            try:
-                service = Service(
-                    config, bus=bus, link=link, recorder=recorder, notifier=notifier, after_cycle=after_cycle
-                )
-                code = service.run()
-            finally:
-                bus.close()
-    finally:
-        recorder.close(CLOSE_RECORDING_S)
+    with ExitStack() as stack:
+        # The bus first: a second service for the same motors is refused before it records or announces anything.
+        bus = SimulatedBus(config) if simulate else CanBuses(config)
+        stack.callback(bus.close)
+        recorder = Recorder(config, text, str(path)) if config.recording.enabled else NullRecorder()
+        stack.callback(recorder.close, CLOSE_RECORDING_S)
+        link = stack.enter_context(ZenohLink(config, text))
+        realtime.enter()  # now that every thread of the link exists
+        after_cycle = _truth_teller(bus, link) if isinstance(bus, SimulatedBus) else None
+        code = Service(config, bus=bus, link=link, recorder=recorder, notifier=notifier, after_cycle=after_cycle).run()
     raise typer.Exit(code)
 
 
@@ -61,12 +58,11 @@ def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | No
     return config.model_copy(update={"recording": recording, "zenoh": zenoh})
 
 
-def _simulated(config: RobotConfig, link: ZenohLink) -> tuple[BusEdge, Callable[[int, Outputs], None]]:
-    """The simulated robot on an in-process bus, telling with every odometry where it really is."""
-    bus = SimulatedBus(config)
+def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> Callable[[int, Outputs], None]:
+    """Publishes, with every odometry, where the simulated robot really is."""
 
     def publish_truth(now_ns: int, outputs: Outputs) -> None:
         if outputs.odometry is not None:
             link.publish_truth(bus.robot.truth.pose, now_ns * 1e-9)
 
-    return bus, publish_truth
+    return publish_truth
