@@ -42,6 +42,7 @@ from gateway.types import (
 DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
 HOLDING = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
 ARMING_TIMEOUT_NS = 3_000_000_000
+ANSWER_TIME_NS = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
 DEGRADED_EFFORT = 0.5  # one motor of four lost: half the acceleration (Rojas section 11, corrected: E-001-14)
 MAX_STEP_PERIODS = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
 
@@ -66,6 +67,7 @@ class Engine:
         self._reporter = Reporter(config)
         self._period = 1.0 / config.loop.rate
         self._last_ns: int | None = None
+        self._first_ns: int | None = None
         self._mode = Mode.IDLE
         self._mode_since_ns = 0
         self._standstill = Standstill()
@@ -137,6 +139,7 @@ class Engine:
     def _elapsed(self, now_ns: int) -> float:
         last_ns, self._last_ns = self._last_ns, now_ns
         if last_ns is None:
+            self._first_ns = now_ns
             return self._period
         return min(max(now_ns - last_ns, 0) * 1e-9, MAX_STEP_PERIODS * self._period)
 
@@ -223,7 +226,9 @@ class Engine:
                 faulty=bool(health.faults),
                 reduced=not well and not blocked and not all(health.usable),
                 commanded=selection.command is not None,
-                start=self._mode is Mode.IDLE and (granted or self._fresh_zero(selection.command)),
+                start=self._mode is Mode.IDLE
+                and (granted or self._fresh_zero(selection.command))
+                and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
                 overdue=overdue,
                 rested=self._rested(now_ns),
@@ -234,6 +239,9 @@ class Engine:
         if mode is Mode.FAULT and overdue:
             self._latch_unarmed(unarmed)
         self._enter(mode, now_ns)
+
+    def _had_time_to_answer(self, now_ns: int) -> bool:
+        return self._first_ns is not None and now_ns - self._first_ns >= ANSWER_TIME_NS
 
     def _fresh_zero(self, command: TwistCommand | None) -> bool:
         return command is not None and command.twist == ZERO_TWIST and command.received_ns > self._mode_since_ns

@@ -179,6 +179,20 @@ def test_omni_robot_drives_on_with_three_motors() -> None:
     assert world.true_speed() < 0.05
 
 
+def test_a_motor_that_answers_late_is_waited_for_one_that_never_does_is_driven_without() -> None:
+    late = World("omni4")
+    late.bus.robot.devices["front_right"].power_off()
+    late.run(1.0, ZERO_TWIST)
+    assert late.is_in(Mode.IDLE)
+    late.bus.robot.devices["front_right"].power_on()
+    late.run(1.0, ZERO_TWIST)
+    assert late.is_in(Mode.DRIVE)
+    absent = World("omni4")
+    absent.bus.robot.devices["front_right"].power_off()
+    absent.run(4.0, ZERO_TWIST)
+    assert absent.is_in(Mode.DEGRADED)
+
+
 @both
 def test_bus_loss_stops_and_comes_back_at_rest(name: str) -> None:
     world = moving(name)
