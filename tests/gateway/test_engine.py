@@ -141,6 +141,21 @@ def test_reset_is_refused_while_the_robot_still_moves(name: str) -> None:
 
 
 @both
+def test_a_zero_from_before_the_release_does_not_start_the_robot(name: str) -> None:
+    """The last zero is still fresh when the stop is released; only one sent after it may start the robot."""
+    world = World(name)
+    world.start()
+    world.run(0.2, ZERO_TWIST)
+    world.request(RequestKind.ESTOP)
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.ok
+    world.run(0.5)
+    assert world.is_in(Mode.IDLE)
+    assert "mode_starting" not in world.codes()[world.codes().index("mode_estop") :]
+
+
+@both
 def test_an_explicit_reset_arms_a_robot_at_rest(name: str) -> None:
     world = World(name)
     world.run(0.5)
