@@ -15,7 +15,6 @@ Name = Annotated[str, Field(pattern=NAME_PATTERN, description="lower case, digit
 Metres = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=1e-3, le=10.0, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-6.3, le=6.3, allow_inf_nan=False, description="rad")]
-Seconds = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Rate = Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False, description="Hz")]
 Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]

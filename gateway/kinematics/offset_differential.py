@@ -18,7 +18,7 @@ import numpy as np
 from gateway.kinematics.interface import Estimate, GeometryError, Matrix
 from gateway.types import Twist
 
-LEFT, RIGHT, PLATFORM = 0, 1, 2
+PLATFORM = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
 MIN_AXLE_OFFSET = 1e-3  # m; singular at zero (science: det J = R^2 d1 / d2)
 
 
