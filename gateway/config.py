@@ -120,6 +120,12 @@ class Limits(_Section):
     motor_speed: dict[Name, Positive]
 
 
+class Stop(_Section):
+    """What an emergency stop ends in (IEC 60204-1): category 1 releases the motors at rest, 2 goes on holding them."""
+
+    category: Literal[1, 2] = 1
+
+
 class WatchdogConfig(_Section):
     """The controller's own command timeout, with the parameter numbers of exactly this firmware version."""
 
@@ -149,6 +155,8 @@ class Motor(_Section):
     max_speed: Annotated[float, Field(gt=0.0, le=5000.0, description="rad/s at the output; limit set in the device")]
     feedback_rate: Rate
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
+    # Only "absolute" (at the output, also after a power cut) lets a steered joint drive without being referenced first.
+    encoder: Literal["absolute", "incremental"] = "incremental"
     watchdog: WatchdogConfig | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
@@ -208,6 +216,7 @@ class RobotConfig(_Section):
     robot: Annotated[OmniRobot | OffsetDifferentialRobot, Field(discriminator="kind")]
     loop: Loop = Loop()
     limits: Limits
+    stop: Stop = Stop()
     motor: Annotated[list[Motor], Field(min_length=1, max_length=32)]
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
     commands: Commands

@@ -73,6 +73,7 @@ class Engine:
         self._standstill = Standstill()
         self._energised = False  # motors were armed and have not been released since
         self._shutdown = False
+        self._stop_category = config.stop.category
         self._buses_down: dict[str, str] = {}
 
     @property
@@ -321,6 +322,7 @@ class Engine:
             sources=self._arbiter.describe(selection, inputs.now_ns),
             motors=self._motors.status(),
             limits_active=limits,
+            stop_category=self._stop_category,
             standing=self._standstill.standing,
             pose=self._odometry.pose,
             twist=measured,

@@ -118,12 +118,15 @@ def _output_cycle_rows(record: Record) -> Sequence[Row]:
 
 
 def _command_rows(record: Record) -> Sequence[Row]:
-    return [(c.source, *c.twist, c.frame.value, c.sequence, c.received_ns) for c in record.inputs.commands]
+    return [
+        (c.source, *c.twist, c.frame.value, c.sequence, c.received_ns, c.sender, int(c.stamped))
+        for c in record.inputs.commands
+    ]
 
 
 def _command(row: Row) -> TwistCommand:
-    source, vx, vy, wz, frame, sequence, received_ns = row
-    return TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), sequence, received_ns)
+    source, vx, vy, wz, frame, sequence, received_ns, sender, stamped = row
+    return TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), sequence, received_ns, sender, bool(stamped))
 
 
 def _refusal_rows(record: Record) -> Sequence[Row]:
@@ -136,12 +139,12 @@ def _refusal(row: Row) -> Refusal:
 
 
 def _request_rows(record: Record) -> Sequence[Row]:
-    return [(r.kind.value, r.id, r.received_ns) for r in record.inputs.requests]
+    return [(r.kind.value, r.id, r.received_ns, r.motor, r.angle) for r in record.inputs.requests]
 
 
 def _request(row: Row) -> Request:
-    kind, identity, received_ns = row
-    return Request(RequestKind(kind), identity, received_ns)
+    kind, *rest = row
+    return Request(RequestKind(kind), *rest)
 
 
 def _bus_event_rows(record: Record) -> Sequence[Row]:
@@ -206,7 +209,7 @@ INPUT_COMMAND = Entity(
     "/inputs/command",
     "TwistCommand",
     {"source": Kind.TEXT, "vx": Kind.FLOAT, "vy": Kind.FLOAT, "wz": Kind.FLOAT, "frame": Kind.TEXT}
-    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT},
+    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.MAYBE_INT},
     _command_rows,
     _command,
 )
@@ -220,7 +223,8 @@ INPUT_REFUSAL = Entity(
 INPUT_REQUEST = Entity(
     "/inputs/request",
     "Request",
-    {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT},
+    {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT}
+    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT},
     _request_rows,
     _request,
 )

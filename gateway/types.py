@@ -45,13 +45,19 @@ class TwistFrame(Enum):
 
 
 class TwistCommand(NamedTuple):
-    """A valid request from outside. `received_ns` is the arrival, from which its age counts."""
+    """A valid request from outside. `received_ns`: from when its age counts, never after its arrival.
+
+    `stamped`: the sender told when it was sent, and `received_ns` allows for the delay on its way.
+    `sender`: which of the processes that may use this source; None where it does not say.
+    """
 
     source: str
     twist: Twist
     frame: TwistFrame
     sequence: int | None
     received_ns: int
+    sender: str | None = None
+    stamped: bool = False
 
 
 class RefusalCode(Enum):
@@ -66,6 +72,8 @@ class RefusalCode(Enum):
     WRONG_FRAME = "wrong_frame"
     UNKNOWN_SOURCE = "unknown_source"
     OLD_SEQUENCE = "old_sequence"
+    STALE = "stale"  # its stamp says that it was too long on its way
+    SECOND_SENDER = "second_sender"  # another sender holds this source
 
 
 class Refusal(NamedTuple):
@@ -83,14 +91,20 @@ class RequestKind(Enum):
     ESTOP = "estop"
     RESET = "reset"
     SHUTDOWN = "shutdown"
+    REFERENCE = "reference"  # somebody says at which angle a steered joint stands now
 
 
 class Request(NamedTuple):
-    """One request; `id` ties the reply to it (0: nobody waits for a reply)."""
+    """One request; `id` ties the reply to it (0: nobody waits for a reply).
+
+    Only of a REFERENCE: `motor`, None for the only steered joint, and `angle`, rad at the output from its zero.
+    """
 
     kind: RequestKind
     id: int
     received_ns: int
+    motor: str | None = None
+    angle: float | None = None
 
 
 class BusEventKind(Enum):
@@ -195,6 +209,7 @@ class Status(NamedTuple):
     sources: tuple[SourceStatus, ...]
     motors: tuple[MotorStatus, ...]
     limits_active: tuple[str, ...]
+    stop_category: int  # what an emergency stop ends in: 1 released at rest, 2 held at rest (IEC 60204-1)
     standing: bool | None
     pose: Pose
     twist: Twist | None

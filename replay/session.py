@@ -210,10 +210,17 @@ def _joined(batches: Sequence[pa.RecordBatch], layout: Mapping[str, Kind]) -> Co
             name = field.name.rpartition(":")[2]
             if wanted.get(name) == field.type:
                 parts[name].append(batch.column(place))
+    for name in _absent(parts, layout):
+        parts[name] = [pa.array([[]] * batch.num_rows, wanted[name]) for batch in batches]
     if not batches or any(len(found) != len(batches) for found in parts.values()):
         return None
     columns = {name: pa.concat_arrays(found) for name, found in parts.items()}
     return columns if all(_fits(columns[name], kind) for name, kind in layout.items()) else None
+
+
+def _absent(parts: Mapping[str, Sequence[pa.Array]], layout: Mapping[str, Kind]) -> list[str]:
+    """Columns that an older recorder did not write yet: nothing was said there."""
+    return [name for name, kind in layout.items() if kind in _MAYBE and not parts[name]]
 
 
 def _fits(column: Column, kind: Kind) -> bool:

@@ -53,6 +53,7 @@ STATUS = Status(
     sources=(SourceStatus("teleop", 0.02, None), SourceStatus("autonomy", None, "never heard")),
     motors=(MOTOR, MOTOR._replace(name="right", fault="over-temperature")),
     limits_active=("acceleration",),
+    stop_category=1,
     standing=None,
     pose=Pose(1.0, 2.0, 0.5),
     twist=None,

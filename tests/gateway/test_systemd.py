@@ -20,6 +20,7 @@ STATUS = Status(
     sources=(),
     motors=(MOTOR,),
     limits_active=(),
+    stop_category=1,
     standing=True,
     pose=Pose(0.0, 0.0, 0.0),
     twist=None,

@@ -71,6 +71,7 @@ STATUS = Status(
     sources=(SourceStatus("teleop", 0.01, None),),
     motors=(MotorStatus("left", "operational", 1.0, None, None, None, None, None, 0.001),),
     limits_active=("vx",),
+    stop_category=1,
     standing=False,
     pose=Pose(0.0, 0.0, 0.0),
     twist=None,
@@ -102,10 +103,23 @@ inputs = st.builds(
     now_ns=nanoseconds,
     frames=st.lists(frames, max_size=4).map(tuple),
     commands=st.lists(
-        st.builds(TwistCommand, texts, twists, st.sampled_from(TwistFrame), st.none() | integers, integers), max_size=2
+        st.builds(
+            TwistCommand,
+            texts,
+            twists,
+            st.sampled_from(TwistFrame),
+            st.none() | integers,
+            integers,
+            st.none() | texts,
+            st.booleans(),
+        ),
+        max_size=2,
     ).map(tuple),
     refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
-    requests=st.lists(st.builds(Request, st.sampled_from(RequestKind), integers, integers), max_size=2).map(tuple),
+    requests=st.lists(
+        st.builds(Request, st.sampled_from(RequestKind), integers, integers, st.none() | texts, st.none() | numbers),
+        max_size=2,
+    ).map(tuple),
     bus_events=st.lists(st.builds(BusEvent, texts, st.sampled_from(BusEventKind), integers, texts), max_size=2).map(
         tuple
     ),
