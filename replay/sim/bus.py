@@ -13,6 +13,7 @@ from random import Random
 from drivers.interface import CanFrame
 from gateway.config import RobotConfig
 from gateway.types import BusEvent
+from replay.sim.device import SECOND_NS
 from replay.sim.robot import SimulatedRobot
 from replay.sim.segment import Segment
 from replay.sim.wire import Stuffing
@@ -36,7 +37,7 @@ class SimulatedBus:
     def receive(self, now_ns: int) -> tuple[list[CanFrame], list[BusEvent]]:
         """Advance the world to now: frames that arrived, stamped and in order of arrival, and what happened."""
         self._advance(now_ns)
-        frames = [frame for segment in self._segments.values() for frame in segment.take_frames()]
+        frames = [frame for segment in self._segments.values() for frame in segment.take_frames(now_ns)]
         if len(self._segments) > 1:
             frames.sort(key=lambda frame: frame.received_ns or 0)
         return frames, [event for segment in self._segments.values() for event in segment.take_events()]
@@ -46,6 +47,16 @@ class SimulatedBus:
         self._advance(now_ns)
         for frame in frames:
             self._segments[frame.bus].send(frame, now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Let the world go on until now while nobody listens; the first call sets the origin."""
+        self._advance(now_ns)
+
+    def reopen(self, now_ns: int) -> None:
+        """Another process opens the interfaces now: it hears nothing from before, but that one is down it sees."""
+        self._advance(now_ns)
+        for segment in self._segments.values():
+            segment.reopen(now_ns)
 
     def close(self) -> None:
         """Nothing to release; the world stands still from here."""
@@ -61,6 +72,22 @@ class SimulatedBus:
     def restore(self, bus: str) -> None:
         """Bring the interface up again."""
         self._segments[bus].restore()
+
+    def delay(self, bus: str, seconds: float) -> None:
+        """Every frame to and from the host takes so much longer, as behind a slow adapter."""
+        self._segments[bus].delay_ns = round(seconds * SECOND_NS)
+
+    def add_twin(self, motor: str, angle: float) -> None:
+        """A second controller on the bus with the id of this motor, its shaft so many rad away at the output."""
+        self.remove_twin(motor)
+        twin = self.robot.add_twin(motor, angle)
+        self._segments[twin.setup.bus].connect(twin)
+
+    def remove_twin(self, motor: str) -> None:
+        """Take it off the bus again."""
+        twin = self.robot.remove_twin(motor)
+        if twin is not None:
+            self._segments[twin.setup.bus].disconnect(twin)
 
     def babble(self, bus: str, frame: CanFrame, *, rate_hz: float) -> None:
         """Foreign traffic: this frame at this rate, arbitrated like any other; rate 0 ends it."""

@@ -27,6 +27,7 @@ class MotorSetup(NamedTuple):
     inertia: float  # kg m^2 felt at the shaft while the other joints are free; the speed loop is tuned to it
     feedback_rate: float  # Hz
     watchdog: WatchdogConfig | None
+    absolute: bool = False  # the encoder knows the shaft's angle (all turns) also after a power cut
 
 
 class Shaft(NamedTuple):
@@ -84,6 +85,14 @@ class SimulatedDevice(Protocol):
 
     def power_on(self) -> None:
         """Give the power back."""
+        ...
+
+    def freeze_encoder(self, frozen: bool) -> None:
+        """The encoder goes on telling the angle it told last, and no speed."""
+        ...
+
+    def shift_encoder(self, angle: float) -> None:
+        """The encoder tells so many radians more than before, as after a slipped magnet; a speed of it is not seen."""
         ...
 
 

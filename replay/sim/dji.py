@@ -53,6 +53,7 @@ class SimulatedDji:
         self.setup = setup
         self.temperature_c = 30.0
         self.encoder_frozen = False  # angle stuck and, as it comes from the same sensor, rpm 0
+        self.encoder_shift = 0.0  # rad that the sensor tells too much
         self.plugged = True
         self.powered = True
         self._esc = ESCS[setup.variant]
@@ -101,7 +102,10 @@ class SimulatedDji:
 
     def step(self, shaft: Shaft, now_ns: int) -> float:
         """Torque of the held current command, within what motor and back-EMF allow."""
-        self._seen = Shaft(self._seen.position, 0.0) if self.encoder_frozen else shaft
+        if self.encoder_frozen:
+            self._seen = Shaft(self._seen.position, 0.0)
+        else:
+            self._seen = Shaft(shaft.position + self.encoder_shift, shaft.velocity) if self.encoder_shift else shaft
         if not self.powered:
             return 0.0
         esc = self._esc
@@ -136,6 +140,14 @@ class SimulatedDji:
     def power_cycle(self) -> None:
         self.power_off()
         self.power_on()
+
+    def freeze_encoder(self, frozen: bool) -> None:
+        """Angle stuck, rpm 0."""
+        self.encoder_frozen = frozen
+
+    def shift_encoder(self, angle: float) -> None:
+        """So many radians of the rotor more than before."""
+        self.encoder_shift += angle
 
     def _feedback(self) -> bytes:
         position, velocity = self._seen

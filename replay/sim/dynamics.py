@@ -27,6 +27,7 @@ from replay.sim.device import STEP_S
 
 Vector = tuple[float, float, float]
 _DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
+GRAVITY = 9.81  # m/s^2
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
@@ -35,7 +36,9 @@ class Chassis(NamedTuple):
 
     body: Body
     rows: tuple[Vector, ...]  # joint rates = rows @ u
+    wheel_radii: tuple[float | None, ...]  # m, per joint; None: drives no wheel
     mass: tuple[Vector, Vector, Vector]  # without joints
+    across: float  # m/s of the centre of mass across the chassis per unit of u[1]; along it, u[0] is the speed itself
     gyroscopic: Callable[[Vector], Vector]
     body_twist: Callable[[Vector, Sequence[float]], Twist]  # of `base_link`, from u and the joint angles
     chassis_angle: Callable[[float, Sequence[float]], float]  # rad in the world, from heading and joint angles
@@ -53,7 +56,9 @@ def omni(robot: OmniRobot) -> Chassis:
     return Chassis(
         body=robot.body,
         rows=tuple(rows),
+        wheel_radii=tuple(wheel.radius for wheel in robot.wheel),
         mass=((mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, inertia)),
+        across=1.0,
         gyroscopic=lambda u: (mass * u[2] * u[1], -mass * u[2] * u[0], 0.0),
         body_twist=lambda u, _: Twist(*u),
         chassis_angle=lambda heading, _: heading,
@@ -77,11 +82,13 @@ def offset_differential(robot: OffsetDifferentialRobot) -> Chassis:
     return Chassis(
         body=robot.body,
         rows=((1.0 / radius, -lever / radius, 0.0), (1.0 / radius, lever / radius, 0.0), (0.0, -1.0, 1.0)),
+        wheel_radii=(radius, radius, None),
         mass=(
             (mass, 0.0, 0.0),
             (0.0, robot.chassis_inertia + coupling * offset, 0.0),
             (0.0, 0.0, robot.body.inertia),
         ),
+        across=offset,
         gyroscopic=lambda u: (coupling * u[1] * u[1], -coupling * u[1] * u[0], 0.0),
         body_twist=body_twist,
         chassis_angle=lambda heading, angles: heading - angles[2],
@@ -95,21 +102,32 @@ class Dynamics:
     """Moving state of one robot: quasi-velocities, joint angles and rates, pose. The writer is `step`."""
 
     def __init__(self, chassis: Chassis) -> None:
+        self.external: Vector = (0.0, 0.0, 0.0)  # generalised force on u, e.g. a push in an experiment
+        self.push = 0.0  # N at the centre of mass, along world x
+        self.slope = 0.0  # rad, rising along world x
+        self.pose = _ORIGIN
+        self.angles = tuple(0.0 for _ in chassis.rows)
+        self._force = self.external
+        self._build(chassis)
+        self.reflected_inertia = tuple(self._reflected(row) for row in chassis.rows)  # per joint, others free
+        self.set_velocity((0.0, 0.0, 0.0))
+
+    def _build(self, chassis: Chassis) -> None:
         rows = np.array(chassis.rows)
         mass = np.array(chassis.mass) + chassis.body.joint_inertia * rows.T @ rows
         inverse = np.linalg.inv(mass)
         self._chassis = chassis
         self._rows = chassis.rows
         self._mass = mass
+        self._inverse = inverse
         self._mobility = _rows(inverse)
         self._torque_rows = _rows(inverse @ rows.T)
         self._damping = _rows(-chassis.body.joint_friction * inverse @ rows.T @ rows)
         self._gyroscopic = chassis.gyroscopic
-        self.reflected_inertia = tuple(1.0 / float(row @ inverse @ row) for row in rows)  # per joint, others free
-        self.external: Vector = (0.0, 0.0, 0.0)  # generalised force on u, e.g. a push in an experiment
-        self.pose = _ORIGIN
-        self.angles = tuple(0.0 for _ in chassis.rows)
-        self.set_velocity((0.0, 0.0, 0.0))
+
+    def _reflected(self, row: Vector) -> float:
+        joint = np.array(row)
+        return 1.0 / float(joint @ self._inverse @ joint)
 
     @property
     def velocity(self) -> Vector:
@@ -136,8 +154,17 @@ class Dynamics:
         self._velocity = velocity
         self.rates = self._joint_rates(velocity)
 
+    def load(self, chassis: Chassis) -> None:
+        """Another mass from now on: a load put on was at rest before, a load taken off keeps its own momentum."""
+        before = self._mass
+        self._build(chassis)
+        if np.trace(self._mass) > np.trace(before):
+            a, b, c = (self._inverse @ before @ np.array(self._velocity)).tolist()
+            self.set_velocity((a, b, c))
+
     def step(self, torques: Sequence[float]) -> None:
         """One substep under constant joint torques."""
+        self._force = self._outer_force() if self.push or self.slope else self.external
         half = STEP_S / 2.0
         drive = tuple(sum(map(mul, row, self._less_drag(torques))) for row in self._torque_rows)
         a, b, c = self._velocity
@@ -147,6 +174,14 @@ class Dynamics:
         self._move(middle)
         self.set_velocity((a + STEP_S * da, b + STEP_S * db, c + STEP_S * dc))
 
+    def _outer_force(self) -> Vector:
+        """Push and weight along world x, seen from the chassis."""
+        mass = self._chassis.mass[0][0]
+        force = self.push - mass * GRAVITY * sin(self.slope)
+        ea, eb, ec = self.external
+        angle = self.chassis_angle
+        return ea + force * cos(angle), eb - force * sin(angle) * self._chassis.across, ec
+
     def _less_drag(self, torques: Sequence[float]) -> Sequence[float]:
         drag = self._chassis.body.joint_drag
         if not drag:
@@ -155,7 +190,7 @@ class Dynamics:
 
     def _acceleration(self, u: Vector, drive: Sequence[float]) -> Vector:
         ga, gb, gc = self._gyroscopic(u)
-        ea, eb, ec = self.external
+        ea, eb, ec = self._force
         ga, gb, gc = ga + ea, gb + eb, gc + ec
         a, b, c = u
         (d11, d12, d13), (d21, d22, d23), (d31, d32, d33) = self._damping

@@ -103,13 +103,21 @@ class SimulatedODrive:
         self.powered = False
 
     def power_on(self) -> None:
-        """Boot: IDLE, no errors, position 0, saved parameters only."""
+        """Boot: IDLE, no errors, position 0 unless the encoder is absolute, saved parameters only."""
         self.powered = True
         self.axis.reboot()
 
     def power_cycle(self) -> None:
         self.power_off()
         self.power_on()
+
+    def freeze_encoder(self, frozen: bool) -> None:
+        """Position stuck, velocity 0."""
+        self.axis.encoder_frozen = frozen
+
+    def shift_encoder(self, angle: float) -> None:
+        """So many radians of the shaft more than before."""
+        self.axis.encoder_shift += angle
 
     def _emission(self, command: int, data: bytes, ready_ns: int) -> Emission:
         return Emission(ready_ns, CanFrame(self.setup.bus, self.setup.id << wire.NODE_SHIFT | command, data))
@@ -174,7 +182,7 @@ class SimulatedODrive:
     def _report_table(self) -> dict[int, Callable[[], bytes]]:
         axis, pack = self.axis, wire.TWO_FLOATS.pack
         return {
-            Command.GET_ENCODER_ESTIMATES: lambda: pack(axis.turns, axis.turns_per_second),
+            Command.GET_ENCODER_ESTIMATES: lambda: pack(*axis.estimates),
             Command.GET_IQ: lambda: pack(*(axis.torque / axis.control.torque_constant,) * 2),
             Command.GET_BUS_VOLTAGE_CURRENT: lambda: pack(self.bus_voltage, axis.mechanical_power / self.bus_voltage),
         }

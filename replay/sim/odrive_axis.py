@@ -4,8 +4,9 @@ How this works
 --------------
 Requests are stored and carried out in `step`. An error disarms, which is a coast, and stays until `clear_errors`;
 while there is one, closed loop is refused. The watchdog differs: 0.5 is fed by any frame to the node and expires in
-IDLE too; 0.6 is fed by setpoints and counts from arming. A power cycle forgets everything that was not saved and
-the position.
+IDLE too; 0.6 is fed by setpoints and counts from arming. A power cycle forgets everything that was not saved and,
+unless the encoder is absolute, the position. 0.5 tells estimates of exactly zero from power-on until it was first in
+closed loop, whatever the encoder reads.
 """
 
 from math import pi
@@ -25,17 +26,19 @@ class OdriveAxis:
         self.control = OdriveController(setup)
         self.parameters = Parameters(setup, over_usb=firmware.watchdog_over_usb)
         self.encoder_frozen = False  # position stuck, velocity 0: the velocity loop winds up to full torque
+        self.encoder_shift = 0.0  # rad that the encoder tells too much
         self.phase_connected = True  # False: no torque, and the state drops with error 0 (ODrive issue 700)
         self.condition = 0  # error bits whose cause persists: they return after Clear_Errors
         self._firmware = firmware
+        self._absolute = setup.absolute
         self._now_ns = 0
-        self._true_shaft = self._shaft = Shaft(0.0, 0.0)
+        self._sound = self._shaft = Shaft(0.0, 0.0)  # what a sound encoder tells, and what this one does
         self._origin = 0.0  # shaft angle at which the reading is 0
         self.reboot()
 
     @property
     def turns(self) -> float:
-        """Encoder reading since power-on."""
+        """Encoder reading: since power-on, or of the shaft itself where the encoder is absolute."""
         return (self._shaft.position - self._origin) / _TURN
 
     @property
@@ -43,18 +46,25 @@ class OdriveAxis:
         return self._shaft.velocity / _TURN
 
     @property
+    def estimates(self) -> tuple[float, float]:
+        """Turns and turns/s as they are told on the bus."""
+        return (self.turns, self.turns_per_second) if self._estimating else (0.0, 0.0)
+
+    @property
     def mechanical_power(self) -> float:
         return self.torque * self._shaft.velocity
 
     def place(self, shaft: Shaft, now_ns: int) -> None:
-        """First power-on: the reading starts at the given shaft angle."""
-        self._shaft = self._true_shaft = shaft
+        """First power-on at the given shaft angle."""
+        self._shaft = self._sound = shaft
+        self._origin = self._origin_here()
         self._now_ns = self._fed_ns = now_ns
 
     def reboot(self) -> None:
-        """IDLE, no errors, position 0, saved parameters only."""
-        self._origin = self._true_shaft.position
-        self._shaft = self._true_shaft
+        """IDLE, no errors, saved parameters only; position 0 unless the encoder is absolute."""
+        self._shaft = self._sound
+        self._origin = self._origin_here()
+        self._estimating = not self._firmware.legacy
         self._fed_ns = self._now_ns
         self._requested: int | None = None
         self.control.reboot()
@@ -93,8 +103,8 @@ class OdriveAxis:
     def step(self, shaft: Shaft, now_ns: int, *, powered: bool) -> float:
         """Encoder, errors, watchdog, requested state, then the control law; the torque."""
         self._now_ns = now_ns
-        self._true_shaft = shaft
-        self._shaft = Shaft(self._shaft.position, 0.0) if self.encoder_frozen else shaft
+        self._sound = Shaft(shaft.position + self.encoder_shift, shaft.velocity) if self.encoder_shift else shaft
+        self._shaft = Shaft(self._shaft.position, 0.0) if self.encoder_frozen else self._sound
         if not powered:
             return 0.0
         if self.condition:
@@ -105,6 +115,9 @@ class OdriveAxis:
             self._enter(self._requested)
         self.torque = self._control_law() if self.state is AxisState.CLOSED_LOOP else 0.0
         return self.torque
+
+    def _origin_here(self) -> float:
+        return 0.0 if self._absolute else self._shaft.position + 0.0  # no minus zero, which would reach the wire
 
     def _check_watchdog(self) -> None:
         running = self._firmware.watchdog_when_idle or self.state is AxisState.CLOSED_LOOP
@@ -130,6 +143,7 @@ class OdriveAxis:
             self.state = AxisState.CLOSED_LOOP
             self.result = ProcedureResult.BUSY
             self._fed_ns = self._now_ns
+            self._estimating = True
             self.control.arm(self.turns)
 
     def _disarm(self) -> None:

@@ -1,6 +1,7 @@
 """The simulated robot: motor controllers on a moving chassis, advanced in fixed substeps. It knows no bus."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from gateway.config import Motor, RobotConfig
@@ -24,6 +25,7 @@ class Truth(NamedTuple):
     twist: Twist
     joint_angles: tuple[float, ...]  # rad at the output as the robot file counts them, in config order
     joint_rates: tuple[float, ...]  # rad/s
+    joint_torques: tuple[float, ...]  # N m that really act at the outputs
     chassis_angle: float  # rad in the world; differs from the heading where the platform turns on the chassis
 
 
@@ -35,17 +37,41 @@ class _Joint(NamedTuple):
     zero: float  # output angle where the chassis counts the joint as zero
 
 
-class SimulatedRobot:
-    """Devices by motor name and the dynamics they drive. `start` sets the time origin; substeps count from it."""
+@dataclass(slots=True)
+class Drivetrain:
+    """What becomes of a controller's torque on its way to the output; the controller does not see it."""
 
-    def __init__(self, config: RobotConfig) -> None:
+    gain: float = 1.0  # 0: none arrives (a sheared key), -1: it acts the wrong way round (swapped phases)
+    braking: float = 1.0  # of torque against the motion
+
+    def torque(self, torque: float, rate: float) -> float:
+        """N m that act."""
+        arriving = torque * self.gain
+        return arriving * self.braking if arriving * rate < 0.0 else arriving
+
+
+class SimulatedRobot:
+    """Devices by motor name and the dynamics they drive. `start` sets the time origin; substeps count from it.
+
+    `joint_angles`: where motors stand before the start, rad at the output from the joint's zero.
+    """
+
+    def __init__(self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None) -> None:
+        self._robot = config.robot
         self.dynamics = Dynamics(CHASSIS[config.robot.kind](config.robot))
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
             for motor, inertia in zip(config.motors_in_order(), self.dynamics.reflected_inertia, strict=True)
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
+        self._places = {name: place for place, name in enumerate(self.devices)}
+        self._drivers = tuple(motor.driver for motor in config.motors_in_order())
+        self._shifts: dict[str, float] = {}  # rad at the output that an encoder tells too much
+        self._twins: dict[str, tuple[SimulatedDevice, Shaft]] = {}
+        self._drivetrains: dict[int, Drivetrain] = {}  # only of those joints where something is wrong
         self._torques = [0.0] * len(self._joints)
+        given = joint_angles or {}
+        self.dynamics.angles = tuple(given.get(name, 0.0) for name in self.devices)
         self._time_ns: int | None = None
 
     @property
@@ -62,11 +88,12 @@ class SimulatedRobot:
             twist=dynamics.twist,
             joint_angles=tuple(a + joint.zero for a, joint in zip(dynamics.angles, self._joints, strict=True)),
             joint_rates=dynamics.rates,
+            joint_torques=tuple(self._torques),
             chassis_angle=dynamics.chassis_angle,
         )
 
     def start(self, now_ns: int) -> None:
-        """Power on everything at this instant, every joint at its zero."""
+        """Power on everything at this instant."""
         self._time_ns = now_ns
         for joint, shaft in zip(self._joints, self._shafts(), strict=True):
             joint.device.start(shaft, now_ns)
@@ -81,7 +108,45 @@ class SimulatedRobot:
                 joint.device.step(shaft, time_ns) * joint.scale
                 for joint, shaft in zip(self._joints, self._shafts(), strict=True)
             ]
+            for place, drivetrain in self._drivetrains.items():
+                self._torques[place] = drivetrain.torque(self._torques[place], self.dynamics.rates[place])
+            for twin, shaft in self._twins.values():
+                twin.step(shaft, time_ns)
             time_ns += STEP_NS
+
+    def drivetrain(self, motor: str) -> Drivetrain:
+        """To weaken what this motor does."""
+        return self._drivetrains.setdefault(self._places[motor], Drivetrain())
+
+    def shift_encoder(self, motor: str, angle: float) -> None:
+        """The encoder of this motor tells so many radians more than before, at the output."""
+        self._shifts[motor] = self._shifts.get(motor, 0.0) + angle
+        self.devices[motor].shift_encoder(angle * self._joints[self._places[motor]].scale)
+
+    def set_mass(self, mass: float | None) -> None:
+        """So many kg in all, the change over the centre; None: as in the robot file."""
+        body = self._robot.body if mass is None else self._robot.body.model_copy(update={"mass": mass})
+        self.dynamics.load(CHASSIS[self._robot.kind](self._robot.model_copy(update={"body": body})))
+
+    def add_twin(self, motor: str, angle: float) -> SimulatedDevice:
+        """A second controller that was given the same id; its shaft stands still, so many rad away at the output."""
+        place = self._places[motor]
+        shaft = Shaft(self._shafts()[place].position + angle * self._joints[place].scale, 0.0)
+        twin = CONTROLLERS[self._drivers[place]](self.devices[motor].setup)
+        twin.start(shaft, self._time())
+        self._twins[motor] = (twin, shaft)
+        return twin
+
+    def remove_twin(self, motor: str) -> SimulatedDevice | None:
+        """The second controller, which is no longer there; None if there was none."""
+        twin = self._twins.pop(motor, None)
+        return None if twin is None else twin[0]
+
+    def mend(self, motor: str) -> None:
+        """Encoder and drivetrain of this motor are sound again."""
+        self.devices[motor].freeze_encoder(False)
+        self.shift_encoder(motor, -self._shifts.pop(motor, 0.0))
+        self._drivetrains.pop(self._places[motor], None)
 
     def _time(self) -> int:
         if self._time_ns is None:
@@ -115,5 +180,6 @@ def _device(motor: Motor, inertia: float) -> SimulatedDevice:
             inertia=inertia / motor.gear_ratio**2,
             feedback_rate=motor.feedback_rate,
             watchdog=motor.watchdog,
+            absolute=motor.encoder == "absolute",
         )
     )

@@ -1,5 +1,7 @@
 """One simulated bus as the host sees it: the wire, the devices on it, what waits for the host, and its faults."""
 
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Sequence
 from random import Random
 
@@ -19,7 +21,9 @@ class Segment:
         self._name = bus.name
         self._devices = tuple(devices)
         self._wire = Wire(bus.bitrate, stuffing, self._deliver)
-        self._frames: list[CanFrame] = []
+        self._frames: list[CanFrame] = []  # in order of their stamps
+        self._delayed: deque[tuple[int, CanFrame]] = deque()  # of the host, on their way to the bus
+        self.delay_ns = 0  # of every frame between host and bus
         self._events: list[BusEvent] = []
         self._dropped = 0  # not sent since the last take_events
         self._drop_received = self._drop_sent = 0.0
@@ -42,6 +46,8 @@ class Segment:
                 wire.offer(emission)
         if self._foreign is not None:
             self._offer_foreign(self._foreign, until_ns)
+        while self._delayed and self._delayed[0][0] <= until_ns:
+            wire.offer_from_host(Emission(*self._delayed.popleft()))
         self._watch_acknowledgement()
         wire.run(until_ns)
 
@@ -50,11 +56,27 @@ class Segment:
         if not self._up or self._wire.host_pending >= HOST_QUEUE:
             self._dropped += 1
             return
-        self._wire.offer_from_host(Emission(now_ns, frame))
+        if self.delay_ns or self._delayed:
+            overtaken_ns = self._delayed[-1][0] if self._delayed else 0
+            self._delayed.append((max(now_ns + self.delay_ns, overtaken_ns), frame))
+        else:
+            self._wire.offer_from_host(Emission(now_ns, frame))
 
-    def take_frames(self) -> list[CanFrame]:
+    def take_frames(self, now_ns: int) -> list[CanFrame]:
+        """What reached the host by now."""
         frames, self._frames = self._frames, []
+        if frames and _stamp(frames[-1]) > now_ns:
+            here = bisect_right(frames, now_ns, key=_stamp)
+            frames, self._frames = frames[:here], frames[here:]
         return frames
+
+    def reopen(self, now_ns: int) -> None:
+        """A new socket: what waited in the old one is gone, what is still on its way is not."""
+        self.take_frames(now_ns)
+        self._events.clear()
+        self._dropped = 0
+        if not self._up:
+            self._tell(BusEventKind.DOWN, "Network is down")
 
     def take_events(self) -> list[BusEvent]:
         events, self._events = self._events, []
@@ -73,12 +95,21 @@ class Segment:
         if self._up:
             self._up = False
             self._wire.forget_host()
+            self._delayed.clear()
             self._tell(BusEventKind.DOWN, "Network is down")
 
     def restore(self) -> None:
         if not self._up:
             self._up = True
             self._tell(BusEventKind.UP, "interface is up")
+
+    def connect(self, device: SimulatedDevice) -> None:
+        """One more device on the bus."""
+        self._devices = (*self._devices, device)
+
+    def disconnect(self, device: SimulatedDevice) -> None:
+        """One less."""
+        self._devices = tuple(one for one in self._devices if one is not device)
 
     def babble(self, frame: CanFrame, *, rate_hz: float) -> None:
         """Somebody else sends this frame at this rate, heard by host and devices; rate 0 ends it."""
@@ -111,7 +142,10 @@ class Segment:
             lost = self._drop_sent > 0.0 and self._random.random() < self._drop_sent
             return () if lost else self._to_devices(frame, end_ns)
         if self._up and not (self._drop_received > 0.0 and self._random.random() < self._drop_received):
-            self._frames.append(CanFrame(self._name, frame.id, frame.data, frame.extended, frame.remote, end_ns))
+            stamp_ns = end_ns + self.delay_ns
+            if self._frames:
+                stamp_ns = max(stamp_ns, _stamp(self._frames[-1]))
+            self._frames.append(CanFrame(self._name, frame.id, frame.data, frame.extended, frame.remote, stamp_ns))
         return self._to_devices(frame, end_ns) if frame is self._foreign else ()
 
     def _to_devices(self, frame: CanFrame, end_ns: int) -> list[Emission]:
@@ -119,3 +153,7 @@ class Segment:
 
     def _tell(self, kind: BusEventKind, text: str) -> None:
         self._events.append(BusEvent(self._name, kind, 1, text))
+
+
+def _stamp(frame: CanFrame) -> int:
+    return frame.received_ns or 0

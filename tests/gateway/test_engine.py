@@ -263,6 +263,7 @@ def test_a_joint_that_jumps_is_not_believed() -> None:
     assert abs(world.bus.robot.truth.joint_angles[2]) > 1.0
     world.bus.robot.devices["platform"].power_off()
     world.run(1.0)
+    world.bus.robot.shift_encoder("platform", 1.0)
     world.bus.robot.devices["platform"].power_on()
     world.run(1.0)
     world.run(2.0, ZERO_TWIST)

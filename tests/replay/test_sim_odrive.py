@@ -35,7 +35,8 @@ class Bench:
     """One ODrive with a free flywheel on its shaft, stepped by hand."""
 
     def __init__(self, variant: str = "0.6", *, watchdog: WatchdogConfig | None = None, turns: float = 0.0) -> None:
-        self.device = SimulatedODrive(SETUP._replace(variant=variant, watchdog=watchdog))
+        setup = SETUP._replace(variant=variant, watchdog=watchdog, absolute=turns != 0.0)
+        self.device = SimulatedODrive(setup)
         self.shaft = Shaft(turns * 2.0 * pi, 0.0)
         self.torque = 0.0
         self.now_ns = 7_000_000_000

@@ -1,9 +1,11 @@
 """The simulated ODrive: parameters, command watchdog and faults."""
 
+from math import pi
 from struct import pack, unpack
 
 import pytest
 
+from replay.sim.device import Shaft
 from replay.sim.odrive_tables import AxisState
 from tests.replay.test_sim_odrive import ENABLE, TIMEOUT, WATCHDOG, Bench
 
@@ -86,10 +88,12 @@ def test_unplugged_node_is_silent_and_deaf_and_its_watchdog_bites() -> None:
 
 
 def test_power_cycle_forgets_position_mode_and_unsaved_parameters() -> None:
-    bench = Bench(watchdog=WATCHDOG, turns=12.0)
+    bench = Bench(watchdog=WATCHDOG)
+    bench.shaft = Shaft(12.0 * 2.0 * pi, 0.0)
     bench.enable_watchdog()
     bench.arm()
     bench.run(10)
+    assert unpack("<ff", bench.send(0x09, remote=True)[0].data)[0] == pytest.approx(12.0)
     bench.device.power_cycle()
     assert bench.state() is AxisState.IDLE
     assert unpack("<ff", bench.send(0x09, remote=True)[0].data)[0] == 0.0
