@@ -3,12 +3,11 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from gateway.config import parse
+from gateway.config import RobotConfig, parse
 from gateway.engine import Engine
 from gateway.types import (
     ZERO_TWIST,
     Event,
-    Inputs,
     Mode,
     Outputs,
     Reply,
@@ -18,12 +17,12 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
+from replay.drive.closed_loop import ClosedLoop, Cycle
 from replay.sim.bus import SimulatedBus
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
 NAMES = ("moby", "omni4")
-START_NS = 1_000_000_000_000
-Record = tuple[Inputs, Outputs]
+Record = Cycle
 
 
 def robot_text(name: str, *, rate_hz: float = 250.0) -> str:
@@ -34,17 +33,33 @@ def robot_text(name: str, *, rate_hz: float = 250.0) -> str:
 
 
 class World:
-    """Steps engine and simulated bus together; keeps every cycle."""
+    """A closed loop that keeps every cycle, and says in one word what tests want of it."""
 
     def __init__(self, name: str, *, rate_hz: float = 250.0) -> None:
         self.text = robot_text(name, rate_hz=rate_hz)
-        self.config = parse(self.text, name)
-        self.bus = SimulatedBus(self.config)
-        self.engine = Engine(self.config)
-        self.period_ns = round(1e9 / self.config.loop.rate)
-        self.now_ns = START_NS
+        self.loop = ClosedLoop(parse(self.text, name))
         self.records: list[Record] = []
         self.events: list[Event] = []
+
+    @property
+    def config(self) -> RobotConfig:
+        return self.loop.config
+
+    @property
+    def bus(self) -> SimulatedBus:
+        return self.loop.bus
+
+    @property
+    def engine(self) -> Engine:
+        return self.loop.engine
+
+    @property
+    def period_ns(self) -> int:
+        return self.loop.period_ns
+
+    @property
+    def now_ns(self) -> int:
+        return self.loop.now_ns
 
     @property
     def last(self) -> Outputs:
@@ -54,21 +69,10 @@ class World:
         return self.engine.mode is mode
 
     def cycle(self, *, commands: Iterable[TwistCommand] = (), requests: Iterable[Request] = ()) -> Outputs:
-        self.now_ns += self.period_ns
-        frames, bus_events = self.bus.receive(self.now_ns)
-        inputs = Inputs(
-            cycle=len(self.records),
-            now_ns=self.now_ns,
-            frames=tuple(frames),
-            commands=tuple(commands),
-            requests=tuple(requests),
-            bus_events=tuple(bus_events),
-        )
-        outputs = self.engine.step(inputs)
-        self.bus.send(outputs.frames, self.now_ns)
-        self.records.append((inputs, outputs))
-        self.events += outputs.events
-        return outputs
+        record = self.loop.cycle(commands=commands, requests=requests)
+        self.records.append(record)
+        self.events += record[1].events
+        return record[1]
 
     def command(self, twist: Twist, source: str = "teleop", frame: TwistFrame = TwistFrame.BODY) -> TwistCommand:
         return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns)
