@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -19,6 +19,7 @@ Rate = Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False, descriptio
 Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
+_File = TypeVar("_File", bound=BaseModel)
 
 
 class ConfigError(ValueError):
@@ -254,12 +255,17 @@ class RobotConfig(_Section):
 
 def parse(text: str, origin: str) -> RobotConfig:
     """Robot file from its text. Raises ConfigError."""
+    return parse_as(RobotConfig, text, origin)
+
+
+def parse_as(model: type[_File], text: str, origin: str) -> _File:
+    """What a person typed, as this model. Raises ConfigError."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(origin, [f"not valid TOML: {error}"]) from None
     try:
-        return RobotConfig.model_validate(document)
+        return model.model_validate(document)
     except ValidationError as error:
         raise ConfigError(
             origin, [_problem(item["loc"], item["msg"], item["input"]) for item in error.errors()]
@@ -268,17 +274,22 @@ def parse(text: str, origin: str) -> RobotConfig:
 
 def load(path: Path) -> tuple[RobotConfig, str]:
     """Robot file and its text. Raises ConfigError."""
+    text = read(path)
+    return parse(text, str(path)), text
+
+
+def read(path: Path) -> str:
+    """The text of a file that a person wrote. Raises ConfigError."""
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
-    return parse(text, str(path)), text
 
 
 def _problem(location: tuple[int | str, ...], message: str, value: object) -> str:
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     shown = "" if isinstance(value, dict | list) else f" = {value!r}"
-    return f"{key or 'robot file'}{shown}: {message.removeprefix('Value error, ')}"
+    return f"{key or 'file'}{shown}: {message.removeprefix('Value error, ')}"
 
 
 def _duplicates(key: str, values: Iterable[object]) -> list[str]:

@@ -26,6 +26,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "stop": "operate",
     "demo": "demo",
     "sim": "sim",
+    "scenario": "scenario",
     "replay": "replay",
 }
 

@@ -1,0 +1,93 @@
+"""Commanders in virtual time: each source streams its twist, and a mailbox keeps the newest of each."""
+
+from dataclasses import dataclass
+
+from gateway.config import Source
+from gateway.types import Twist, TwistCommand, TwistFrame
+
+SENDER = "scenario"
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Stream:
+    """One source that sends a twist at a rate from some instant on."""
+
+    source: str
+    twist: Twist
+    period_ns: int
+    due_ns: int
+    stamped: bool
+
+
+class Commanders:
+    """All streams and the mailbox between them and the loop."""
+
+    def __init__(self) -> None:
+        self._streams: dict[str, Stream] = {}
+        self._sequences: dict[str, int] = {}
+        self._newest: dict[str, TwistCommand] = {}
+        self._frozen_since_ns: int | None = None
+
+    def stream(self, source: str, twist: Twist, *, rate: float, stamped: bool, now_ns: int) -> None:
+        """From now on this source sends this twist."""
+        self.send(now_ns)
+        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped)
+
+    def silence(self, source: str, now_ns: int) -> None:
+        """This source sends nothing any more."""
+        self.send(now_ns - 1)
+        self._streams.pop(source, None)
+
+    def send(self, until_ns: int) -> None:
+        """Everything that is sent by then; of each source the mailbox keeps the newest."""
+        for stream in self._streams.values():
+            while stream.due_ns <= until_ns:
+                sequence = self._sequences[stream.source] = self._sequences.get(stream.source, -1) + 1
+                self._newest[stream.source] = TwistCommand(
+                    stream.source, stream.twist, TwistFrame.BODY, sequence, stream.due_ns, SENDER, stream.stamped
+                )
+                stream.due_ns += stream.period_ns
+
+    def freeze(self, now_ns: int) -> None:
+        """The process stands still from now to the next `drain`: what is sent meanwhile arrives only then."""
+        self.send(now_ns)
+        self._frozen_since_ns = now_ns
+
+    def forget(self, until_ns: int) -> None:
+        """Nobody listened until then."""
+        self.send(until_ns)
+        self._newest.clear()
+
+    def drain(self, now_ns: int) -> list[TwistCommand]:
+        """What the loop finds in its mailbox."""
+        self.send(now_ns)
+        commands = [self._arrived(command, now_ns) for command in self._newest.values()]
+        self._newest.clear()
+        self._frozen_since_ns = None
+        return commands
+
+    def _arrived(self, command: TwistCommand, now_ns: int) -> TwistCommand:
+        """Ages count from arrival where the sender does not tell when it sent."""
+        since_ns = self._frozen_since_ns
+        late = since_ns is not None and command.received_ns > since_ns and not command.stamped
+        return command._replace(received_ns=now_ns) if late else command
+
+
+class Asked:
+    """What the winning source asks for, whatever mode the robot is in: highest priority that is not silent."""
+
+    def __init__(self, sources: list[Source]) -> None:
+        ranked = sorted(sources, key=lambda source: -source.priority)
+        self._timeouts_ns = {source.name: round(source.timeout * _SECOND_NS) for source in ranked}
+        self._latest: dict[str, TwistCommand] = {}
+
+    def update(self, commands: tuple[TwistCommand, ...], now_ns: int) -> Twist | None:
+        """Take the commands of this cycle; None while every source is silent."""
+        for command in commands:
+            self._latest[command.source] = command
+        for source, timeout_ns in self._timeouts_ns.items():
+            command_or_none = self._latest.get(source)
+            if command_or_none is not None and now_ns - command_or_none.received_ns <= timeout_ns:
+                return command_or_none.twist
+        return None

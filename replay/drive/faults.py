@@ -1,0 +1,278 @@
+"""What can go wrong in the simulated world, one row per kind: what it concerns, its value, how it begins and ends.
+
+Whatever names no motor or bus concerns all of them. A fault with `seconds` ends by itself; so does its end, `clear`.
+"""
+
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import NamedTuple
+
+from gateway.config import RobotConfig
+from replay.sim.bus import SimulatedBus
+from replay.sim.dynamics import CHASSIS
+
+TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
+
+
+class FaultKind(Enum):
+    """Everything that the simulated world knows to break, and to mend."""
+
+    POWER_OFF = "power_off"
+    POWER_ON = "power_on"
+    POWER_CYCLE = "power_cycle"
+    CABLE_OUT = "cable_out"
+    CABLE_IN = "cable_in"
+    ENCODER_FROZEN = "encoder_frozen"
+    ENCODER_JUMP = "encoder_jump"
+    TORQUE_LOST = "torque_lost"
+    TORQUE_INVERTED = "torque_inverted"
+    BRAKE_WEAK = "brake_weak"
+    ID_TWIN = "id_twin"
+    BUS_DOWN = "bus_down"
+    BUS_UP = "bus_up"
+    FRAMES_LOST = "frames_lost"
+    FRAMES_DELAYED = "frames_delayed"
+    PUSH = "push"
+    SLOPE = "slope"
+    MASS = "mass"
+    LOOP_PAUSE = "loop_pause"
+    CLEAR = "clear"
+
+
+class Target(Enum):
+    """What a kind concerns."""
+
+    MOTOR = "motor"
+    WHEEL = "wheel"  # a motor that drives a wheel
+    BUS = "bus"
+    WORLD = "world"
+    LOOP = "loop"
+
+
+class Range(NamedTuple):
+    """What a value may be."""
+
+    low: float
+    high: float
+    words: str
+
+
+class Broken(NamedTuple):
+    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable."""
+
+    world: SimulatedBus
+    name: str
+    value: float
+    seed: int
+
+
+Change = Callable[[Broken], object]
+
+
+class Rule(NamedTuple):
+    """One row. `timed`: it cannot go without `seconds`; `default`: where no value is given."""
+
+    target: Target
+    begin: Change
+    end: Change | None = None
+    value: Range | None = None
+    default: float | None = None
+    timed: bool = False
+
+
+def _power_off(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].power_off()
+
+
+def _power_on(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].power_on()
+
+
+def _power_cycle(broken: Broken) -> None:
+    _power_off(broken)
+    _power_on(broken)
+
+
+def _unplug(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].unplug()
+
+
+def _plug(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].plug()
+
+
+def _freeze(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].freeze_encoder(True)
+
+
+def _thaw(broken: Broken) -> None:
+    broken.world.robot.devices[broken.name].freeze_encoder(False)
+
+
+def _jump(broken: Broken) -> None:
+    broken.world.robot.shift_encoder(broken.name, broken.value)
+
+
+def _jump_back(broken: Broken) -> None:
+    broken.world.robot.shift_encoder(broken.name, -broken.value)
+
+
+def _gain(gain: float) -> Change:
+    def change(broken: Broken) -> None:
+        broken.world.robot.drivetrain(broken.name).gain = gain
+
+    return change
+
+
+def _weaken(broken: Broken) -> None:
+    broken.world.robot.drivetrain(broken.name).braking = broken.value
+
+
+def _strengthen(broken: Broken) -> None:
+    broken.world.robot.drivetrain(broken.name).braking = 1.0
+
+
+def _twin(broken: Broken) -> None:
+    broken.world.add_twin(broken.name, broken.value)
+
+
+def _no_twin(broken: Broken) -> None:
+    broken.world.remove_twin(broken.name)
+
+
+def _down(broken: Broken) -> None:
+    broken.world.fail(broken.name)
+
+
+def _up(broken: Broken) -> None:
+    broken.world.restore(broken.name)
+
+
+def _lose(broken: Broken) -> None:
+    broken.world.drop(broken.name, received=broken.value, sent=broken.value, seed=broken.seed)
+
+
+def _lose_none(broken: Broken) -> None:
+    broken.world.drop(broken.name)
+
+
+def _delay(broken: Broken) -> None:
+    broken.world.delay(broken.name, broken.value)
+
+
+def _delay_none(broken: Broken) -> None:
+    broken.world.delay(broken.name, 0.0)
+
+
+def _push(broken: Broken) -> None:
+    broken.world.robot.dynamics.push = broken.value
+
+
+def _push_none(broken: Broken) -> None:
+    broken.world.robot.dynamics.push = 0.0
+
+
+def _tilt(broken: Broken) -> None:
+    broken.world.robot.dynamics.slope = broken.value
+
+
+def _level(broken: Broken) -> None:
+    broken.world.robot.dynamics.slope = 0.0
+
+
+def _load(broken: Broken) -> None:
+    broken.world.robot.set_mass(broken.value)
+
+
+def _unload(broken: Broken) -> None:
+    broken.world.robot.set_mass(None)
+
+
+def _nothing(_: Broken) -> None:
+    """The world has no part in it: the loop does it."""
+
+
+def _mend(broken: Broken) -> None:
+    """Everything of one motor; with power and cable, so last what boots it."""
+    device = broken.world.robot.devices[broken.name]
+    broken.world.robot.mend(broken.name)
+    broken.world.remove_twin(broken.name)
+    device.plug()
+    if not device.acknowledges:
+        device.power_on()
+
+
+_FRACTION = Range(0.0, 1.0, "a fraction, 0 to 1")
+
+RULES: dict[FaultKind, Rule] = {
+    FaultKind.POWER_OFF: Rule(Target.MOTOR, _power_off, _power_on),
+    FaultKind.POWER_ON: Rule(Target.MOTOR, _power_on),
+    FaultKind.POWER_CYCLE: Rule(Target.MOTOR, _power_cycle),
+    FaultKind.CABLE_OUT: Rule(Target.MOTOR, _unplug, _plug),
+    FaultKind.CABLE_IN: Rule(Target.MOTOR, _plug),
+    FaultKind.ENCODER_FROZEN: Rule(Target.MOTOR, _freeze, _thaw),
+    FaultKind.ENCODER_JUMP: Rule(Target.MOTOR, _jump, _jump_back, Range(-1e3, 1e3, "rad at the output, -1000 to 1000")),
+    FaultKind.TORQUE_LOST: Rule(Target.MOTOR, _gain(0.0), _gain(1.0)),
+    FaultKind.TORQUE_INVERTED: Rule(Target.MOTOR, _gain(-1.0), _gain(1.0)),
+    FaultKind.BRAKE_WEAK: Rule(
+        Target.MOTOR, _weaken, _strengthen, Range(0.0, 1.0, "a factor on torque against the motion, 0 to 1")
+    ),
+    FaultKind.ID_TWIN: Rule(
+        Target.MOTOR, _twin, _no_twin, Range(-1e3, 1e3, "rad at the output, -1000 to 1000"), default=TWIN_ANGLE
+    ),
+    FaultKind.BUS_DOWN: Rule(Target.BUS, _down, _up),
+    FaultKind.BUS_UP: Rule(Target.BUS, _up),
+    FaultKind.FRAMES_LOST: Rule(Target.BUS, _lose, _lose_none, _FRACTION),
+    FaultKind.FRAMES_DELAYED: Rule(Target.BUS, _delay, _delay_none, Range(0.0, 10.0, "s, 0 to 10")),
+    FaultKind.PUSH: Rule(
+        Target.WORLD, _push, _push_none, Range(-1e5, 1e5, "N along world x, -100000 to 100000"), timed=True
+    ),
+    FaultKind.SLOPE: Rule(Target.WORLD, _tilt, _level, Range(-0.7, 0.7, "rad, rising along world x, -0.7 to 0.7")),
+    FaultKind.MASS: Rule(Target.WORLD, _load, _unload, Range(0.1, 5000.0, "kg in total, 0.1 to 5000")),
+    FaultKind.LOOP_PAUSE: Rule(Target.LOOP, _nothing, timed=True),
+    FaultKind.CLEAR: Rule(Target.MOTOR, _mend),
+}
+
+
+def begin(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int) -> None:
+    """Break it, for each of these motors or buses."""
+    rule = RULES[kind]
+    amount = value if value is not None else rule.default or 0.0
+    for name in names:
+        rule.begin(Broken(world, name, amount, seed))
+
+
+def end(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None) -> None:
+    """Its end by itself."""
+    rule = RULES[kind]
+    amount = value if value is not None else rule.default or 0.0
+    for name in names:
+        if rule.end is not None:
+            rule.end(Broken(world, name, amount, 0))
+
+
+def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
+    """What `clear` undoes besides the motors: buses and ground."""
+    for name in buses:
+        for change in (_up, _lose_none, _delay_none):
+            change(Broken(world, name, 0.0, 0))
+    for change in (_push_none, _level, _unload):
+        change(Broken(world, "", 0.0, 0))
+
+
+def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: str | None) -> tuple[str, ...]:
+    """Which motors or buses: the named one, or every one where none is named; a single "" for the rest."""
+    match RULES[kind].target:
+        case Target.MOTOR:
+            return config.robot.motor_names() if motor is None else (motor,)
+        case Target.WHEEL:
+            return wheels(config) if motor is None else (motor,)
+        case Target.BUS:
+            return tuple(one.name for one in config.bus) if bus is None else (bus,)
+    return ("",)
+
+
+def wheels(config: RobotConfig) -> tuple[str, ...]:
+    """Motors that drive a wheel, in chassis order."""
+    radii = CHASSIS[config.robot.kind](config.robot).wheel_radii
+    return tuple(name for name, radius in zip(config.robot.motor_names(), radii, strict=True) if radius is not None)

@@ -1,0 +1,67 @@
+"""Records a drive in virtual time with the recorder's own writer and the stamps of the virtual clock."""
+
+from pathlib import Path
+
+from gateway.config import RobotConfig
+from gateway.record import Hello, Record
+from gateway.recorder_writer import SessionWriter
+from gateway.types import CycleTiming, Inputs, Outputs
+from replay.drive.closed_loop import FIRST_NS
+
+BATCH = 250  # cycles
+
+
+class SessionRecording:
+    """A session in a directory, and another one after each restart of the process. `session`: the last one.
+
+    `started_wall_ns`: the wall time of the first cycle; later ones follow in virtual time.
+    """
+
+    def __init__(self, config: RobotConfig, text: str, origin: str, *, directory: Path, started_wall_ns: int) -> None:
+        settings = config.recording.model_copy(update={"directory": str(directory)})
+        self._config = config.model_copy(update={"recording": settings})
+        self._text = text
+        self._origin = origin
+        self._wall_minus_mono_ns = started_wall_ns - FIRST_NS
+        self._now_ns = FIRST_NS
+        self._waiting: list[Record] = []
+        self._writer = self._begin()
+
+    @property
+    def session(self) -> Path:
+        """Folder of the session being written."""
+        return self._writer.folder
+
+    def put(self, inputs: Inputs, outputs: Outputs) -> None:
+        """One cycle; no time was spent on it."""
+        self._now_ns = inputs.now_ns
+        timing = CycleTiming(late_ns=0, work_ns=0, wall_ns=inputs.now_ns + self._wall_minus_mono_ns)
+        self._waiting.append(Record(inputs, outputs, timing))
+        if len(self._waiting) >= BATCH:
+            self._write()
+
+    def restart(self) -> None:
+        """The process that follows records a session of its own."""
+        self.close()
+        self._writer = self._begin()
+
+    def close(self) -> None:
+        """Everything on the disk, with a footer."""
+        self._write()
+        self._writer.close()
+
+    def _begin(self) -> SessionWriter:
+        hello = Hello(
+            config_json=self._config.model_dump_json(),
+            config_text=self._text,
+            config_origin=self._origin,
+            folder=None,
+            started_wall_ns=self._now_ns + self._wall_minus_mono_ns,
+            wall_minus_mono_ns=self._wall_minus_mono_ns,
+        )
+        return SessionWriter(self._config, hello)
+
+    def _write(self) -> None:
+        if self._waiting:
+            self._writer.write(self._waiting)
+            self._waiting = []
