@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.vm import packages
-from tests.vm.launcher import Result, run_lane, tools
+from tests.vm.launcher import Result, boot_failure, in_machine, run_lane, tools
 from tests.vm.plugin import LANES
 
 
@@ -45,6 +45,9 @@ def _result(lane: str, arguments: argparse.Namespace) -> Result:
     missing = _still_missing(lane)
     if missing:
         return Result(lane, passed=False, text=f"cannot run, as root: apt-get install {' '.join(missing)}")
+    failure = boot_failure() if in_machine(lane) else None
+    if failure is not None:
+        return Result(lane, passed=False, text=failure)
     return run_lane(lane, pytest_arguments=arguments.pytest, limit_s=arguments.limit, keep=arguments.keep)
 
 

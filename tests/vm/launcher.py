@@ -6,6 +6,7 @@ the host. One directory is shared for writing, the run directory: init.sh and th
 """
 
 import contextlib
+import functools
 import os
 import shlex
 import shutil
@@ -22,11 +23,13 @@ from time import monotonic
 from typing import IO, NamedTuple
 from xml.etree import ElementTree
 
-from tests.vm import packages
+from tests.vm import packages, xstate
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
 MEMORY_BYTES = 2 << 30  # taken from the host only as far as it is used
+BOOT_LIMIT_S = 60.0  # it takes two to three
+POWER_OFF = "sync; echo o >/proc/sysrq-trigger; sleep 60"
 
 # Without these a boot takes a second longer: RAID benchmarks, 256 old-style terminals, messages nobody reads.
 KERNEL = (
@@ -49,9 +52,36 @@ class Result(NamedTuple):
 
 def tools(lane: str) -> Mapping[str, str]:
     """What this lane needs on this host, and the package of each."""
-    if lane == "systemd":
-        return packages.SYSTEMD_TOOLS
-    return packages.HOST_TOOLS if _host_has_vcan() else packages.MACHINE_TOOLS
+    if not in_machine(lane):
+        return packages.HOST_TOOLS
+    needed = packages.SYSTEMD_TOOLS if lane == "systemd" else packages.MACHINE_TOOLS
+    return needed | packages.COMPILER_TOOLS if _preload_needed() else needed
+
+
+def in_machine(lane: str) -> bool:
+    """Whether this lane runs in User-Mode Linux on this host."""
+    return lane == "systemd" or not _host_has_vcan()
+
+
+@functools.cache
+def boot_failure() -> str | None:
+    """Why User-Mode Linux does not come up on this host; None if it does. Boots it once, with nothing to do."""
+    with tempfile.TemporaryDirectory(prefix="drivegate-vm-") as directory:
+        run = Path(directory)
+        _write_command(run, ["true"], last=POWER_OFF)
+        try:
+            _boot(run, init="command", limit_s=BOOT_LIMIT_S)
+        except OSError as error:
+            return str(error)
+        if _read(run / "status") == "0":
+            return None
+        return f"User-Mode Linux does not come up on this host: {_last_words(_read(run / 'console.log'))}"
+
+
+def _last_words(console: str) -> str:
+    """The line of a console that says why a kernel ended; below a panic's own line there are only addresses."""
+    lines = console.splitlines()
+    return next((line for line in lines if "panic" in line), lines[-1] if lines else "it says nothing")
 
 
 def run_lane(lane: str, *, pytest_arguments: Sequence[str], limit_s: float, keep: Path | None) -> Result:
@@ -72,17 +102,29 @@ def _run(lane: str, pytest_arguments: Sequence[str], run: Path, limit_s: float) 
     pytest_command = [sys.executable, "-m", "pytest", "-p", "tests.vm.plugin", "-p", "no:cacheprovider", "--lane", lane]
     pytest_command += [f"--junitxml={run / 'junit.xml'}", f"--color={'yes' if sys.stdout.isatty() else 'no'}"]
     pytest_command += pytest_arguments
-    if lane == "vcan" and _host_has_vcan():
+    if not in_machine(lane):
         _write_command(run, pytest_command, last="")
-        _stream([*_host_vcan(), "sh", str(run / "command")], run, limit_s)
+        _stream([*_host_vcan(), "sh", str(run / "command")], run, limit_s, environment={"TMPDIR": str(run)})
         return "on the host's vcan"
     journal = f"[ $(cat {run}/status) = 0 ] || journalctl -b >{run}/journal.log; " if lane == "systemd" else ""
-    _write_command(run, pytest_command, last=f"{journal}sync; echo o >/proc/sysrq-trigger; sleep 60")
-    _write_machine(run)
-    init = "systemd" if lane == "systemd" else "command"
-    kernel = ["linux.uml", *KERNEL, f"init={run}/init.sh", f"DG_INIT={init}", f"DG_RUN={run}", f"uml_dir={run}/"]
-    _stream(kernel, run, limit_s, machine=True)
+    _write_command(run, pytest_command, last=journal + POWER_OFF)
+    _boot(run, init="systemd" if lane == "systemd" else "command", limit_s=limit_s)
     return f"in User-Mode Linux (tests began after {_read(run / 'boot') or '?'} s)"
+
+
+def _boot(run: Path, *, init: str, limit_s: float) -> None:
+    """Run the command of the run directory in the machine. Raises OSError where the host needs what it cannot have."""
+    _write_machine(run)
+    kernel = ["linux.uml", *KERNEL, f"init={run}/init.sh", f"DG_INIT={init}", f"DG_RUN={run}", f"uml_dir={run}/"]
+    environment = {"TMPDIR": _memory_directory(run)}
+    if _preload_needed():
+        environment["LD_PRELOAD"] = str(xstate.build_preload(run))
+    _stream(kernel, run, limit_s, pin=True, environment=environment)
+
+
+@functools.cache
+def _preload_needed() -> bool:
+    return xstate.preload_needed(xstate.host_area())
 
 
 def _write_command(run: Path, pytest_command: Sequence[str], *, last: str) -> None:
@@ -125,20 +167,20 @@ def _host_has_vcan() -> bool:
     return subprocess.run([*_host_vcan(), "true"], capture_output=True, check=False).returncode == 0
 
 
-def _stream(command: Sequence[str], run: Path, limit_s: float, *, machine: bool = False) -> None:
+def _stream(
+    command: Sequence[str], run: Path, limit_s: float, *, environment: dict[str, str], pin: bool = False
+) -> None:
     """Run a process group to its end or to the limit; its output goes to the console, live, and to a file."""
-    temporary = _memory_directory(run) if machine else str(run)
-    environment = os.environ | {"PATH": packages.SEARCH_PATH, "TMPDIR": temporary}
     with subprocess.Popen(
         command,
         cwd=run,
-        env=environment,
+        env=os.environ | {"PATH": packages.SEARCH_PATH} | environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
     ) as process:
-        if machine:
+        if pin:
             _pin(process.pid)
         with _ended_with(process, limit_s), (run / "console.log").open("wb") as log:
             assert process.stdout is not None

@@ -4,17 +4,23 @@ import os
 import shutil
 import subprocess
 from collections.abc import Mapping
+from pathlib import Path
 
 SEARCH_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin:/usr/lib/systemd:/lib/systemd"
 
 HOST_TOOLS = {"ip": "iproute2", "tc": "iproute2", "candump": "can-utils", "cansend": "can-utils"}
 MACHINE_TOOLS = HOST_TOOLS | {"linux.uml": "user-mode-linux", "insmod": "kmod"}
 SYSTEMD_TOOLS = MACHINE_TOOLS | {"systemctl": "systemd", "systemd": "systemd", "udevadm": "udev"}
+COMPILER_TOOLS = {"cc": "gcc", "/usr/include/elf.h": "libc6-dev"}
 
 
 def missing(tools: Mapping[str, str]) -> list[str]:
-    """Packages to install before these tools exist."""
-    return sorted({package for tool, package in tools.items() if shutil.which(tool, path=SEARCH_PATH) is None})
+    """Packages to install before these tools (commands, or files by their path) exist."""
+    return sorted({package for tool, package in tools.items() if not _exists(tool)})
+
+
+def _exists(tool: str) -> bool:
+    return Path(tool).is_file() if tool.startswith("/") else shutil.which(tool, path=SEARCH_PATH) is not None
 
 
 def install(packages: list[str]) -> None:
