@@ -8,13 +8,20 @@ same units and h the step. A rate that falls by rho h in each of n steps and end
 n r - rho h n (n - 1)/2 steps of way, so with the fewest n that suffice, r = (L/h)/n + rho h (n - 1)/2 lands on the
 target exactly: no overshoot at any loop rate.
 The acceleration vector then turns and grows no faster than the jerk limits allow.
+
+What the floor feels is dv/dt + w x v: whoever drives a curve accelerates. So a twist may turn only as fast as its
+w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what w x v leaves of them. The set of such
+twists is not convex: where the straight line would leave it, the rates that must fall go first (`_beside`).
 """
 
-from math import ceil, sqrt
+from math import atanh, ceil, sqrt
 
 from gateway.types import ZERO_TWIST, Twist
 
+TURNING_SHARE = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
+LEAST_SHARE = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
 _ROUNDING = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
+_LINE_TOLERANCE = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
 
 
 def excess(vector: Twist, limits: Twist) -> float:
@@ -30,6 +37,38 @@ def scale_to(vector: Twist, limits: Twist) -> Twist:
     return vector if worst <= 1.0 else _scaled(vector, 1.0 / worst)
 
 
+def turning_excess(twist: Twist, acceleration: Twist) -> float:
+    """How many times the share for turning the acceleration w x v of a steady twist takes, in its worst axis."""
+    vx, vy, wz = twist
+    return abs(wz) * max(abs(vy) / acceleration.vx, abs(vx) / acceleration.vy) / TURNING_SHARE
+
+
+def stopping_time(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
+    """Longest time to rest from any twist within the limits, s.
+
+    With v = s v0 and w x v = s^2 c, at most TURNING_SHARE = k of the limits, ds/dt = (1 - k s^2)/L needs
+    L atanh(sqrt k)/sqrt k from s = 1 to rest; the jerk limit adds 1/rho once that is longer than 1/rho.
+    """
+    length = excess(velocity, acceleration)
+    rho = _slope(acceleration, jerk)
+    if length < 1.0 / rho:
+        length = 2.0 * sqrt(length / rho) - 1.0 / rho
+    return length * atanh(sqrt(TURNING_SHARE)) / sqrt(TURNING_SHARE) + 1.0 / rho
+
+
+def stopping_distance(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
+    """Longest way of the origin until rest from any twist within the limits, m: half of top speed times the time.
+
+    The speed falls along an S-shaped ramp, symmetric about its middle; turning only bends the way.
+    """
+    fastest = sqrt(velocity.vx**2 + velocity.vy**2)
+    return (
+        0.5
+        * fastest
+        * (stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk) + 1.0 / _slope(acceleration, jerk))
+    )
+
+
 class TwistLimiter:
     """The moving setpoint: position (a twist) and rate (its acceleration)."""
 
@@ -37,7 +76,9 @@ class TwistLimiter:
         self._velocity = velocity
         self._acceleration = acceleration
         self._jerk = jerk
-        self._rho = min(j / a for j, a in zip(jerk, acceleration, strict=True))  # 1/s
+        self._rho = _slope(acceleration, jerk)
+        self._turn_x = TURNING_SHARE * acceleration.vy  # of |wz vx|, which accelerates along y
+        self._turn_y = TURNING_SHARE * acceleration.vx
         self.setpoint = ZERO_TWIST
         self._rate = ZERO_TWIST
 
@@ -56,22 +97,87 @@ class TwistLimiter:
         self.setpoint = _scaled(self.setpoint, factor)
         self._rate = _scaled(self._rate, factor)
 
-    def step(self, target: Twist, dt: float, *, effort: float = 1.0) -> tuple[Twist, tuple[str, ...]]:
+    def step(
+        self, target: Twist, dt: float, *, effort: float = 1.0, headroom: float = 1.0
+    ) -> tuple[Twist, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
+        `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow.
         """
-        wanted = scale_to(target, self._velocity)
-        active: tuple[str, ...] = () if wanted is target else ("velocity",)
+        wanted, active = self._holdable(target)
         if dt <= 0.0 or (wanted == self.setpoint and self._rate == ZERO_TWIST):
             return self.setpoint, active
-        way = _sum(wanted, self.setpoint, -1.0)
+        before = self.setpoint
+        aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
+        way = _sum(aim, before, -1.0)
         if self._arrives(way, dt):
-            self.setpoint, self._rate = wanted, _scaled(way, 1.0 / dt)
+            after, self._rate = aim, _scaled(way, 1.0 / dt)
+        else:
+            self._turn_rate(way, dt, effort)
+            after = scale_to(_sum(before, self._rate, dt), self._velocity)
+            active = (*active, "acceleration")
+        if headroom < 1.0 and _grows(before, after):
+            after = _sum(before, _sum(after, before, -1.0), headroom)
+            self._rate = _scaled(self._rate, headroom)
+        self.setpoint = after
+        return after, active
+
+    def brake(self, dt: float) -> Twist:
+        """Setpoint after dt seconds on its way to rest along its own direction: no axis ever grows.
+
+        A rate that led elsewhere is dropped at once; what it had of slowing down is kept.
+        """
+        x, y, z = self.setpoint
+        limit_x, limit_y, limit_z = self._acceleration
+        square = (x / limit_x) ** 2 + (y / limit_y) ** 2 + (z / limit_z) ** 2
+        if dt <= 0.0 or square == 0.0:
+            if square == 0.0:
+                self.reset()
+            return self.setpoint
+        a, b, c = self._rate
+        falling = -(x * a / limit_x**2 + y * b / limit_y**2 + z * c / limit_z**2) / square  # 1/s
+        self._rate = _scaled(self.setpoint, -max(0.0, falling))
+        way = _scaled(self.setpoint, -1.0)
+        if self._arrives(way, dt):
+            self.reset()
+            return self.setpoint
+        self._turn_rate(way, dt, effort=1.0)
+        a, b, c = self._rate
+        left = 1.0 + dt * (x * a / limit_x**2 + y * b / limit_y**2 + z * c / limit_z**2) / square
+        if left <= 0.0:
+            self.reset()
+            return self.setpoint
+        self.setpoint = _scaled(self.setpoint, min(left, 1.0))
+        return self.setpoint
+
+    def _holdable(self, target: Twist) -> tuple[Twist, tuple[str, ...]]:
+        """The target within top speed and turning limit, and which of them shortened it."""
+        wanted = scale_to(target, self._velocity)
+        active: tuple[str, ...] = () if wanted is target else ("velocity",)
+        turning = turning_excess(wanted, self._acceleration)
+        if turning <= 1.0:
             return wanted, active
-        self._turn_rate(way, dt, effort)
-        self.setpoint = scale_to(_sum(self.setpoint, self._rate, dt), self._velocity)
-        return self.setpoint, (*active, "acceleration")
+        return _scaled(wanted, 1.0 / sqrt(turning)), (*active, "turning")
+
+    def _line_leaves(self, wanted: Twist) -> bool:
+        """Whether the straight line to a holdable twist passes through twists that are not."""
+        vx, vy, wz = self.setpoint
+        return (
+            _peak(wz, wanted.wz, vx, wanted.vx) > _LINE_TOLERANCE * self._turn_x
+            or _peak(wz, wanted.wz, vy, wanted.vy) > _LINE_TOLERANCE * self._turn_y
+        )
+
+    def _beside(self, wanted: Twist) -> Twist:
+        """What of the wanted twist the present turning limit allows: each of speed and turn, the other as it is."""
+        vx, vy, wz = self.setpoint
+        turn = min(_quotient(self._turn_x, abs(vx)), _quotient(self._turn_y, abs(vy)))
+        speed = min(
+            1.0,
+            _quotient(_quotient(self._turn_x, abs(wz)), abs(wanted.vx)),
+            _quotient(_quotient(self._turn_y, abs(wz)), abs(wanted.vy)),
+        )
+        return Twist(wanted.vx * speed, wanted.vy * speed, max(-turn, min(turn, wanted.wz)))
 
     def _arrives(self, way: Twist, dt: float) -> bool:
         """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
@@ -82,17 +188,53 @@ class TwistLimiter:
         return excess(rate, self._jerk) <= dt and excess(change, self._jerk) <= dt * _ROUNDING
 
     def _turn_rate(self, way: Twist, dt: float, effort: float) -> None:
-        length = excess(way, self._acceleration) / effort
+        length = excess(way, self._spare(way)) / effort
         gain = min(1.0, self._landing_rate(length / dt, self._rho * dt)) / length if length > 0.0 else 0.0
         change = _sum(_scaled(way, gain), self._rate, -1.0)
         worst = excess(change, self._jerk) / dt
         self._rate = _sum(self._rate, change, 1.0 / worst if worst > 1.0 else 1.0)
+
+    def _spare(self, way: Twist) -> Twist:
+        """What turning leaves of the acceleration limits in the direction of the way."""
+        vx, vy, wz = self.setpoint
+        if wz == 0.0:
+            return self._acceleration
+        limit_x, limit_y, limit_z = self._acceleration
+        return Twist(_left(limit_x, -wz * vy, way.vx), _left(limit_y, wz * vx, way.vy), limit_z)
 
     @staticmethod
     def _landing_rate(way: float, fall: float) -> float:
         """Rate from which steps that fall by `fall` each cover the way (in rate times steps) and end at zero."""
         steps = max(1, ceil(sqrt(0.25 + 2.0 * way / fall) - 0.5 - 1e-9))
         return way / steps + fall * (steps - 1) / 2.0
+
+
+def _slope(acceleration: Twist, jerk: Twist) -> float:
+    """The jerk limit in units of the acceleration limits, 1/s; the slowest axis counts."""
+    return min(j / a for j, a in zip(jerk, acceleration, strict=True))
+
+
+def _left(limit: float, turning: float, way: float) -> float:
+    against = turning if way > 0.0 else -turning
+    return min(limit, max(limit - against, LEAST_SHARE * limit))
+
+
+def _peak(a: float, to_a: float, b: float, to_b: float) -> float:
+    """Largest |a b| while both move in proportion from here to there."""
+    da, db = to_a - a, to_b - b
+    ends = max(abs(a * b), abs(to_a * to_b))
+    if da * db == 0.0:
+        return ends
+    at = -(a * db + b * da) / (2.0 * da * db)
+    return max(ends, abs((a + at * da) * (b + at * db))) if 0.0 < at < 1.0 else ends
+
+
+def _quotient(value: float, divisor: float) -> float:
+    return value / divisor if divisor > 1e-9 else 1e9
+
+
+def _grows(before: Twist, after: Twist) -> bool:
+    return any(abs(new) > abs(old) for old, new in zip(before, after, strict=True))
 
 
 def _scaled(vector: Twist, factor: float) -> Twist:

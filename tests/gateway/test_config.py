@@ -33,7 +33,7 @@ WRONG = [
     ("moby", "priority = 10,", "priority = 100,", ["commands.source.priority = 100", "unique"]),
     ("moby", 'name = "moby"', 'name = "Moby/*"', ["robot", "name"]),
     ("omni4", "axis_angle = 2.0943951023931953", "axis_angle = 1.0471975511965976", []),
-    ("omni4", "speed_loop = { kp = 2.0, ki = 4.0 }", "", ["speed_loop is missing"]),
+    ("omni4", "speed_loop = { kp = 3.5, ki = 14.0 }", "", ["speed_loop is missing"]),
     ("omni4", "watchdog_waiver", "# watchdog_waiver", ["watchdog"]),
 ]
 

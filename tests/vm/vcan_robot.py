@@ -50,7 +50,7 @@ def robot_file(name: str, directory: Path, channel: str) -> Path:
     text = (ROBOTS / f"{name}.toml").read_text(encoding="utf-8")
     for before, after in (
         ("feedback_rate = 1000.0", "feedback_rate = 30.0"),
-        ("speed_loop = { kp = 2.0, ki = 4.0 }", "speed_loop = { kp = 0.3, ki = 0.6 }"),
+        ("speed_loop = { kp = 3.5, ki = 14.0 }", "speed_loop = { kp = 0.3, ki = 0.6 }"),
         ("feedback_rate = 250.0", "feedback_rate = 25.0"),
         ("priority = 100, timeout = 0.3", "priority = 100, timeout = 1.0"),
         ("priority = 10, timeout = 0.2", "priority = 10, timeout = 1.0"),
