@@ -86,7 +86,9 @@ def _top_speeds(robot: Robot) -> Twist:
 def _top_speed(robot: Robot, axis: Twist, turn: float) -> float:
     positions: list[float | None] = [turn if i in robot.kinematics.steered else 0.0 for i in range(len(robot.names))]
     speeds = robot.kinematics.wheel_speeds(axis, positions) or []
-    return min(limit / abs(speed) for speed, limit in zip(speeds, robot.top_speeds, strict=True) if abs(speed) > 1e-9)
+    return min(
+        limits.speed / abs(speed) for speed, limits in zip(speeds, robot.limits, strict=True) if abs(speed) > 1e-9
+    )
 
 
 def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusLoad:

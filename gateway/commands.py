@@ -1,14 +1,22 @@
-"""Who drives: the freshest command of the highest priority, and why every other source does not."""
+"""Who drives: the freshest command of the highest priority, and why every other source does not.
+
+How this works
+--------------
+A source may drive only after a zero of its own since the robot last came to rest, was stopped, failed or started:
+whoever takes the robot over has its stick in the middle. It loses that right when another sender appears under its
+name, and, unless its commands tell when they were sent, by a silence longer than its timeout: what comes after such a
+silence may be the past of a commander that is long dead.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from gateway.config import Source
-from gateway.types import SourceStatus, TwistCommand
+from gateway.types import ZERO_TWIST, SourceStatus, TwistCommand
 
 
 class Selection(NamedTuple):
-    """The winning command, None when every source is silent, and its age."""
+    """The winning command, None when nobody may drive, and its age."""
 
     command: TwistCommand | None
     age_ns: int | None
@@ -18,39 +26,73 @@ NOBODY = Selection(None, None)
 
 
 class Arbiter:
-    """Keeps the newest command of each source; ages count from arrival."""
+    """Keeps the newest command of each source and who has sent a zero; ages count from `received_ns`."""
 
     def __init__(self, sources: Sequence[Source]) -> None:
         ranked = sorted(sources, key=lambda source: -source.priority)
         self._timeout_ns = {source.name: round(source.timeout * 1e9) for source in ranked}
         self._latest: dict[str, TwistCommand] = {}
+        self._admitted: set[str] = set()
+        self._dismissed_ns: int | None = None
 
     def receive(self, command: TwistCommand) -> None:
         """Take one valid command; one of a source that is not configured has no priority and is left out."""
-        if command.source in self._timeout_ns:
-            self._latest[command.source] = command
+        name = command.source
+        if name not in self._timeout_ns:
+            return
+        if self._starts_over(command, self._latest.get(name)):
+            self._admitted.discard(name)
+        since = self._dismissed_ns
+        if command.twist == ZERO_TWIST and (since is None or command.received_ns > since):
+            self._admitted.add(name)
+        self._latest[name] = command
+
+    def dismiss(self, now_ns: int) -> None:
+        """The robot rests, was stopped or failed: every source has to send zero again, after this moment."""
+        self._admitted.clear()
+        self._dismissed_ns = now_ns
 
     def select(self, now_ns: int) -> Selection:
         """The source that drives at this moment."""
-        for name, timeout_ns in self._timeout_ns.items():
+        for name in self._timeout_ns:
             command = self._latest.get(name)
-            if command is not None and now_ns - command.received_ns <= timeout_ns:
+            if command is not None and name in self._admitted and self._fresh(command, now_ns):
                 return Selection(command, now_ns - command.received_ns)
         return NOBODY
+
+    def moving(self, now_ns: int) -> TwistCommand | None:
+        """A fresh command of any source, whether it may drive or not, that asks for motion."""
+        for command in self._latest.values():
+            if command.twist != ZERO_TWIST and self._fresh(command, now_ns):
+                return command
+        return None
 
     def describe(self, selection: Selection, now_ns: int) -> tuple[SourceStatus, ...]:
         """Every source in order of priority, with the reason why it does not drive."""
         winner = selection.command.source if selection.command else None
         return tuple(self._status(name, winner, now_ns) for name in self._timeout_ns)
 
+    def _fresh(self, command: TwistCommand, now_ns: int) -> bool:
+        return now_ns - command.received_ns <= self._timeout_ns[command.source]
+
+    def _starts_over(self, command: TwistCommand, before: TwistCommand | None) -> bool:
+        if before is None:
+            return False
+        if command.sender != before.sender:
+            return True
+        silent = command.received_ns - before.received_ns > self._timeout_ns[command.source]
+        return silent and not (command.stamped and before.stamped)
+
     def _status(self, name: str, winner: str | None, now_ns: int) -> SourceStatus:
         command = self._latest.get(name)
         if command is None:
             return SourceStatus(name, None, "never heard")
-        age_ns, timeout_ns = now_ns - command.received_ns, self._timeout_ns[name]
-        age_s = age_ns * 1e-9
+        age_s = (now_ns - command.received_ns) * 1e-9
         if name == winner:
             return SourceStatus(name, age_s, None)
-        if age_ns > timeout_ns:
-            return SourceStatus(name, age_s, f"silent for longer than its timeout of {timeout_ns * 1e-9:g} s")
+        if not self._fresh(command, now_ns):
+            timeout_s = self._timeout_ns[name] * 1e-9
+            return SourceStatus(name, age_s, f"silent for longer than its timeout of {timeout_s:g} s")
+        if name not in self._admitted:
+            return SourceStatus(name, age_s, "has to send zero first")
         return SourceStatus(name, age_s, f"outranked by {winner}")

@@ -1,17 +1,23 @@
-"""Which motors can be relied on: three independent detectors, and the faults they raise.
+"""Which motors can be relied on, and the faults that say why not.
 
-The detectors: age of the feedback, state that does not match what was asked (both judged by the driver), and speed
-that does not follow its setpoint (judged here). An error code alone is never relied on.
+How this works
+--------------
+Three independent sources: age of the feedback, state that does not match what was asked (both judged by the driver),
+and what the motor's numbers say (`gateway.detectors`). An error code alone is never relied on.
+A motor that fails while the robot is energised is lost until the robot is back in IDLE, whatever becomes of the cause:
+it is released and not driven again. A motor whose bus is down is not lost yet but out of reach: it may still be doing
+what it was last told, so once the bus is back it goes on braking if it still obeys, and is lost if it does not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import Enum
 from typing import NamedTuple
 
 from drivers.interface import MotorFeedback, MotorState
+from gateway import detectors
+from gateway.detectors import Detector, Limits, Sample
 
-FOLLOWING_TOLERANCE = 0.3  # of the motor's top speed; a jam or a runaway exceeds it, a hard start does not
-FOLLOWING_TIME_NS = 500_000_000
+RETURN_GRACE_NS = 150_000_000  # for a motor to be heard again once its bus is back; longer than any feedback period
 
 
 class FaultKind(Enum):
@@ -19,10 +25,24 @@ class FaultKind(Enum):
 
     SILENT = "silent"  # no feedback
     MOTOR = "motor"  # the controller or its driver refuses
+    STALL = "stall"  # torque at its limit, and no motion
+    FROZEN = "frozen"  # the encoder stands still, the wheel does not
+    RUNAWAY = "runaway"  # speeds up against its torque
     FOLLOWING = "following"  # speed does not follow the setpoint
+    TWIN = "twin"  # two controllers answer as one
     POSITION_UNKNOWN = "position_unknown"  # a joint angle the geometry needs
     ARMING = "arming"  # a motor did not become operational in time
     BUS = "bus"  # the bus cannot send or receive
+
+
+DETECTORS: dict[FaultKind, Callable[[Limits], Detector]] = {
+    FaultKind.RUNAWAY: detectors.RunawayDetector,
+    FaultKind.TWIN: detectors.TwinDetector,
+    FaultKind.FROZEN: detectors.FrozenEncoderDetector,
+    FaultKind.STALL: detectors.StallDetector,
+    FaultKind.FOLLOWING: detectors.FollowingDetector,
+}
+BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN})  # a controller that misreads its shaft cannot even brake it
 
 
 class Fault(NamedTuple):
@@ -38,91 +58,131 @@ class Fault(NamedTuple):
 
 
 class Health(NamedTuple):
-    """Per motor, in the order of the robot file: may it be driven; and every present fault."""
+    """Per motor, in the order of the robot file, and every present fault.
+
+    `usable`: may be driven. `obeying`: may go on with the ramp to rest. `brakable`: may be braked in an emergency stop.
+    """
 
     usable: tuple[bool, ...]
+    obeying: tuple[bool, ...]
+    brakable: tuple[bool, ...]
     faults: tuple[Fault, ...]
 
 
 class HealthMonitor:
     """Judges every motor each cycle; remembers latched faults until `reset` and lost motors until `forgive`."""
 
-    def __init__(self, names: Sequence[str], *, top_speeds: Sequence[float]) -> None:
+    def __init__(self, names: Sequence[str], *, limits: Sequence[Limits]) -> None:
         self._names = tuple(names)
-        self._tolerances = tuple(FOLLOWING_TOLERANCE * speed for speed in top_speeds)
-        self._following_since: list[int | None] = [None] * len(self._names)
+        self._limits = tuple(limits)
         self._latched: dict[tuple[FaultKind, str], Fault] = {}
         self._lost: set[int] = set()
-        self._well = Health((True,) * len(self._names), ())
+        self._obeyed: set[int] = set()  # since the robot was last at rest
+        self._away: dict[int, int] = {}  # motors out of reach, and when that was last so
+        all_well = (True,) * len(self._names)
+        self._well = Health(all_well, all_well, all_well, ())
+        self._forget()
 
     def latch(self, fault: Fault) -> None:
         """A fault found elsewhere that only a reset may clear."""
         self._latched.setdefault((fault.kind, fault.subject), fault)
 
+    def lose(self, indices: Iterable[int]) -> None:
+        """Motors that were released while the robot was energised: not to be driven before it has been at rest."""
+        self._lost.update(indices)
+
     def reset(self) -> None:
-        """Forget latched faults; those whose cause persists come back in the next cycle."""
+        """Forget latched faults; those whose cause persists come back."""
         self._latched.clear()
-        self._following_since = [None] * len(self._names)
+        self._forget()
 
     def forgive(self) -> None:
-        """The robot is at rest and released: motors lost while driving may be tried again."""
+        """The robot is at rest and released: motors lost before may be tried again."""
         self._lost.clear()
+        self._obeyed.clear()
+        self._forget()
 
     def assess(
         self,
         feedback: Sequence[MotorFeedback],
+        samples: Sequence[Sample],
         *,
-        setpoints: Sequence[float | None],
-        speeds: Sequence[float | None],
-        driving: bool,
+        others: Sequence[Fault] = (),
+        out_of_reach: Collection[int] = (),
+        energised: bool,
         now_ns: int,
     ) -> Health:
-        """Health of this cycle. `setpoints`, `speeds`: last commanded and measured output speeds, rad/s."""
-        present: list[tuple[int, Fault]] = []
+        """Health of this cycle. `others`: faults found elsewhere; `out_of_reach`: motors on a bus that is down."""
+        present: list[Fault] = []
+        for index in out_of_reach:
+            self._away[index] = now_ns
         for index, motor in enumerate(feedback):
+            if index in self._away and self._is_away(index, motor, now_ns):
+                continue
             if motor.state is MotorState.OPERATIONAL:
-                fault = self._following(index, setpoints[index], speeds[index], now_ns)
+                self._obeyed.add(index)
+                fault = self._detected(index, samples[index])
             else:
-                fault = self._reported(index, motor, driving=driving)
+                fault = self._reported(index, motor, energised=energised)
             if fault is not None:
-                present.append((index, fault))
-        if not present and not self._latched and not self._lost:
+                present.append(fault)
+                if energised:
+                    self._lost.add(index)
+        if not (present or others or self._latched or self._lost or self._away):
             return self._well
-        return self._judge(present, driving)
+        return self._judge([*present, *others])
 
-    def _reported(self, index: int, motor: MotorFeedback, *, driving: bool) -> Fault | None:
-        self._following_since[index] = None
+    def _is_away(self, index: int, motor: MotorFeedback, now_ns: int) -> bool:
+        """Whether the motor is still to be waited for, and not to be judged."""
+        back = motor.state is not MotorState.SILENT
+        waited = now_ns - self._away[index]
+        if waited == 0 or (not back and waited < RETURN_GRACE_NS):
+            self._begin(index)
+            return True
+        del self._away[index]
+        return False
+
+    def _reported(self, index: int, motor: MotorFeedback, *, energised: bool) -> Fault | None:
+        self._begin(index)
+        name = self._names[index]
         if motor.fault is not None:
-            return Fault(FaultKind.MOTOR, self._names[index], motor.fault.text, motor.fault.latched)
+            return Fault(FaultKind.MOTOR, name, motor.fault.text, motor.fault.latched)
         if motor.state is MotorState.SILENT:
             age = "never heard" if motor.age_ns is None else f"silent for {motor.age_ns * 1e-9:.2f} s"
-            return Fault(FaultKind.SILENT, self._names[index], age, latched=False)
-        if driving and index not in self._lost:
+            return Fault(FaultKind.SILENT, name, age, latched=False)
+        if energised and index in self._obeyed and index not in self._lost:
             text = f"left operation while driving (is {motor.state.value})"
-            return Fault(FaultKind.MOTOR, self._names[index], text, latched=False)
+            return Fault(FaultKind.MOTOR, name, text, latched=False)
         return None
 
-    def _following(self, index: int, setpoint: float | None, speed: float | None, now_ns: int) -> Fault | None:
-        if setpoint is None or speed is None or abs(setpoint - speed) <= self._tolerances[index]:
-            self._following_since[index] = None
-            return None
-        since = self._following_since[index]
-        if since is None:
-            self._following_since[index] = now_ns
-            return None
-        if now_ns - since < FOLLOWING_TIME_NS:
-            return None
-        text = f"turns at {speed:.2f} rad/s where {setpoint:.2f} rad/s is commanded"
-        return Fault(FaultKind.FOLLOWING, self._names[index], text, latched=True)
+    def _detected(self, index: int, sample: Sample) -> Fault | None:
+        for kind, detector in self._detectors[index]:
+            text = detector.look(sample)
+            if text is not None:
+                return Fault(kind, self._names[index], text, latched=True)
+        return None
 
-    def _judge(self, present: Sequence[tuple[int, Fault]], driving: bool) -> Health:
-        for index, fault in present:
+    def _judge(self, present: Sequence[Fault]) -> Health:
+        for fault in present:
             if fault.latched:
                 self.latch(fault)
-            if driving:
-                self._lost.add(index)
-        faults = {(fault.kind, fault.subject): fault for _, fault in present}
-        faults |= self._latched
+        faults = {(fault.kind, fault.subject): fault for fault in present} | self._latched
         bad = {fault.subject for fault in faults.values()}
-        usable = tuple(name not in bad and index not in self._lost for index, name in enumerate(self._names))
-        return Health(usable, tuple(faults.values()))
+        runaway = any(fault.kind is FaultKind.RUNAWAY for fault in faults.values())
+        blind = {fault.subject for fault in faults.values() if fault.kind in BLIND}
+        places = tuple(enumerate(self._names))
+        return Health(
+            usable=tuple(name not in bad and index not in self._lost | set(self._away) for index, name in places),
+            obeying=tuple(not runaway and index not in self._lost for index, _ in places),
+            brakable=tuple(not runaway and name not in blind for _, name in places),
+            faults=tuple(faults.values()),
+        )
+
+    def _begin(self, index: int) -> None:
+        """What a motor did before it was out of operation or out of reach says nothing about now."""
+        self._detectors[index] = [(kind, detector(self._limits[index])) for kind, detector in DETECTORS.items()]
+
+    def _forget(self) -> None:
+        self._detectors = [
+            [(kind, detector(limits)) for kind, detector in DETECTORS.items()] for limits in self._limits
+        ]

@@ -1,12 +1,16 @@
 """All motors of the robot behind one face, in chassis order and at their outputs: drivers, gears, speed loops."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from drivers.interface import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from gateway.detectors import Sample
 from gateway.robot import Robot
 from gateway.types import MotorStatus
 
 STANDSTILL = 0.005  # of the motor's top speed
+SATURATED = 0.98  # of the torque limit
+HEADROOM_FROM, HEADROOM_TO = 0.05, 0.08  # of top speed: lag at which the setpoint may grow slower, and not at all
 
 
 class Motors:
@@ -19,10 +23,11 @@ class Motors:
             for bus in {group.bus for group in robot.groups}
         }
         size = len(robot.names)
-        self._standstill = tuple(STANDSTILL * top for top in robot.top_speeds)
+        self._standstill = tuple(STANDSTILL * limits.speed for limits in robot.limits)
         self.feedback: list[MotorFeedback] = [MotorFeedback(MotorState.SILENT)] * size
         self.speeds: list[float | None] = [None] * size
         self.positions: list[float | None] = [None] * size
+        self.torques: list[float | None] = [None] * size  # N m
         self.setpoints: list[float | None] = [None] * size  # rad/s; None: released
 
     def receive(self, frames: Sequence[CanFrame]) -> None:
@@ -38,10 +43,11 @@ class Motors:
             for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns), strict=True):
                 self.feedback[index] = feedback
                 if feedback.state is MotorState.SILENT:
-                    self.speeds[index] = self.positions[index] = None
+                    self.speeds[index] = self.positions[index] = self.torques[index] = None
                 else:
                     gear = self._robot.transmissions[index]
                     self.speeds[index], self.positions[index] = gear.output(feedback.velocity, feedback.position)
+                    self.torques[index] = gear.output_torque(feedback.torque)
 
     def command(self, setpoints: list[float | None], *, braking: bool, dt: float, now_ns: int) -> tuple[CanFrame, ...]:
         """Frames of this cycle. A setpoint of None releases its motor; `braking` asks the controllers' own brake."""
@@ -52,12 +58,46 @@ class Motors:
             frames += group.driver.command(commands, now_ns=now_ns)
         return tuple(frames)
 
-    def turning(self) -> bool:
-        """Whether any measured wheel turns."""
+    def turning(self) -> bool | None:
+        """Whether any measured wheel turns; None: not one is measured."""
+        measured = None
         for speed, limit in zip(self.speeds, self._standstill, strict=True):
-            if speed is not None and abs(speed) > limit:
-                return True
-        return False
+            if speed is not None:
+                if abs(speed) > limit:
+                    return True
+                measured = False
+        return measured
+
+    def samples(self, *, driving: bool, dt: float, expected: Callable[[int], float | None]) -> list[Sample]:
+        """What the detectors look at: the last measurement against the setpoint it answers to."""
+        fresh_ns = dt * 1e9
+        return [
+            Sample(
+                self.setpoints[index],
+                self.speeds[index],
+                self.positions[index],
+                self.torques[index],
+                feedback.age_ns is not None and feedback.age_ns <= fresh_ns,
+                driving,
+                dt,
+                partial(expected, index),
+            )
+            for index, feedback in enumerate(self.feedback)
+        ]
+
+    def headroom(self) -> float:
+        """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
+        lag = 0.0
+        for setpoint, speed, torque, limits in zip(
+            self.setpoints, self.speeds, self.torques, self._robot.limits, strict=True
+        ):
+            if setpoint is None or speed is None:
+                continue
+            behind = setpoint - speed
+            if torque is not None and abs(torque) >= SATURATED * limits.torque and torque * behind > 0.0:
+                return 0.0
+            lag = max(lag, abs(behind) / limits.speed)
+        return min(1.0, max(0.0, (HEADROOM_TO - lag) / (HEADROOM_TO - HEADROOM_FROM)))
 
     def not_operational(self, usable: Sequence[bool]) -> list[int]:
         """Places of the usable motors that do not obey yet."""

@@ -19,7 +19,6 @@ _SLIP_CORRELATION = 1.0  # s; a slip goes on for about so long, so its error add
 _SLIP_LEVER = 0.25  # m; turns an unexplained rim speed into a yaw rate error
 _LONGEST_GAP = 0.1  # s; a controller that reports more rarely counts as silent anyway
 _JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
-_RETURN_TOLERANCE = 0.2  # rad; a steered joint that was silent and comes back further off lost its reference
 _SMALL_ANGLE = 1e-6
 
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
@@ -55,10 +54,9 @@ class WheelOdometry:
         self._turned = 0.0
         self._slip_variance = 0.0  # integral of residual^2 dt, m^2/s
 
-    def update(self, positions: Sequence[float | None], *, residual: float | None, dt: float, now_ns: int) -> list[int]:
-        """Take the measured positions of this cycle and the unexplained rim speed (m/s).
+    def deltas(self, positions: Sequence[float | None], now_ns: int) -> tuple[list[float | None], list[int]]:
+        """Way of every joint since the last call, rad, and the joints that moved further than they can turn.
 
-        Returns the joints whose position jumped: further than they can turn, or, for a steered one, while silent.
         The way of a joint that was silent is unknown and left out: its controller may have counted from zero again.
         """
         self._jumped = []
@@ -66,11 +64,20 @@ class WheelOdometry:
             0.0 if position is not None and position == before else self._delta(index, position, now_ns)
             for index, (position, before) in enumerate(zip(positions, self._positions, strict=True))
         ]
+        return deltas, self._jumped
+
+    def forget(self, index: int) -> None:
+        """The next position of this joint is a new reference."""
+        self._positions[index] = None
+
+    def update(
+        self, deltas: Sequence[float | None], angles: Sequence[float | None], *, residual: float | None, dt: float
+    ) -> None:
+        """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s."""
         if any(deltas):
-            self._move(deltas, positions)
+            self._move(deltas, angles)
         if residual:
             self._slip_variance += residual * residual * dt
-        return self._jumped
 
     def read(self, twist: Twist | None, residual: float | None) -> Odometry:
         """Pose with its covariance brought up to date."""
@@ -83,8 +90,8 @@ class WheelOdometry:
             self._unseen.add(index)
             return None
         if index in self._unseen:
-            self._reappear(index, position, now_ns)
-            return None
+            self._unseen.discard(index)
+            before = None
         elapsed = min((now_ns - self._moved_ns[index]) * 1e-9, _LONGEST_GAP)
         self._positions[index], self._moved_ns[index] = position, now_ns
         if before is None:
@@ -94,15 +101,6 @@ class WheelOdometry:
             self._jumped.append(index)
             return None
         return delta
-
-    def _reappear(self, index: int, position: float, now_ns: int) -> None:
-        """A joint reports again; its position is a new reference."""
-        before = self._positions[index]
-        self._unseen.discard(index)
-        self._positions[index], self._moved_ns[index] = position, now_ns
-        steered = index in self._kinematics.steered
-        if steered and before is not None and abs(position - before) > _RETURN_TOLERANCE:
-            self._jumped.append(index)
 
     def _move(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> None:
         if self._kinematics.steered:  # the geometry of mid-way serves the whole way to second order

@@ -75,16 +75,25 @@ class Reporter:
         self._first_ns: int | None = None
         self._mode = Mode.IDLE
         self._faults: tuple[Fault, ...] = ()
+        self._slipping = False
         self._overruns = 0
         self._dropped_records = 0
 
     def events(
-        self, inputs: Inputs, *, mode: Mode, reason: str | None, faults: tuple[Fault, ...], replies: Sequence[Reply]
+        self,
+        inputs: Inputs,
+        *,
+        mode: Mode,
+        reason: str | None,
+        faults: tuple[Fault, ...],
+        replies: Sequence[Reply],
+        slipping: bool,
     ) -> tuple[Event, ...]:
         """Everything worth telling of this cycle; usually nothing."""
         quiet = (
             mode is self._mode
             and faults is self._faults
+            and slipping is self._slipping
             and not (inputs.refusals or inputs.bus_events or replies)
             and inputs.overruns == self._overruns
             and inputs.dropped_records == self._dropped_records
@@ -100,10 +109,12 @@ class Reporter:
         events += [event for bus_event in inputs.bus_events for event in self._bus(bus_event, now_ns)]
         events += self._counters(inputs)
         events += self._fault_changes(faults, now_ns)
+        events += self._slip_change(slipping, now_ns)
+        kinds = {request.id: request.kind.value for request in inputs.requests}
         events += [
-            Event(Level.INFO, "reset", "granted")
+            Event(Level.INFO, kinds[reply.id], "granted")
             if reply.ok
-            else Event(Level.WARNING, "reset_refused", str(reply.reason))
+            else Event(Level.WARNING, f"{kinds[reply.id]}_refused", str(reply.reason))
             for reply in replies
         ]
         events += self._mode_change(mode, reason)
@@ -147,6 +158,13 @@ class Reporter:
             count = self._throttle.admit(("cleared", fault.kind, fault.subject), now_ns)
             events += _counted(Level.INFO, f"cleared_{fault.kind.value}", fault.subject, count)
         return events
+
+    def _slip_change(self, slipping: bool, now_ns: int) -> list[Event]:
+        before, self._slipping = self._slipping, slipping
+        if not slipping or before:
+            return []
+        text = "the wheels do not fit a rigid motion: one of them slips"
+        return _counted(Level.WARNING, "slip", text, self._throttle.admit("slip", now_ns))
 
     def _mode_change(self, mode: Mode, reason: str | None) -> list[Event]:
         before, self._mode = self._mode, mode

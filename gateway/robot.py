@@ -8,6 +8,7 @@ from drivers.interface import Driver, MotorSpec, Watchdog
 from gateway.config import ConfigError, Motor, RobotConfig, WatchdogConfig
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
+from gateway.detectors import Limits
 from gateway.kinematics import KINEMATICS
 from gateway.kinematics.interface import GeometryError, Kinematics
 
@@ -28,7 +29,8 @@ class Robot(NamedTuple):
     groups: tuple[Group, ...]
     transmissions: tuple[Transmission, ...]
     speed_loops: tuple[SpeedLoop | None, ...]
-    top_speeds: tuple[float, ...]
+    absolute: tuple[bool, ...]  # whether the encoder knows its angle after a power cut
+    limits: tuple[Limits, ...]
 
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
@@ -46,7 +48,8 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         groups=groups,
         transmissions=tuple(Transmission(motor.gear_ratio * motor.direction, motor.zero) for motor in motors),
         speed_loops=loops,
-        top_speeds=tuple(config.limits.motor_speed[motor.name] for motor in motors),
+        absolute=tuple(motor.encoder == "absolute" for motor in motors),
+        limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
     )
 
 

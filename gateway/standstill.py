@@ -1,38 +1,52 @@
-"""Whether the robot is at rest: its setpoint is zero, and its wheels have stood for a while.
+"""Whether the robot is at rest: nothing measured turns, and has not turned for a while.
 
-Wheels that cannot be measured get their time instead: no measurement must not keep a robot energised for ever.
+Only where nothing at all can be measured does time count instead: no measurement must not keep a robot energised for
+ever, but braking goes on as long as anything measured turns.
 """
 
 REST_DWELL_NS = 250_000_000  # wheels must stand for so long: creeping is not rest
-REST_TIMEOUT_NS = 4_000_000_000  # a robot that cannot be measured is believed to stand this long after setpoint zero
+ROLL_NS = 100_000_000  # a wheel must turn for so long: a touch is no rolling
+REST_TIMEOUT_NS = 4_000_000_000  # a robot of which nothing can be measured is believed to stand after so long
 
 
 class Standstill:
-    """`standing` is None while too few wheels report to know."""
+    """`standing` is None while too few wheels report to know the motion of the body."""
 
     def __init__(self) -> None:
         self.standing: bool | None = None
         self._standing_since_ns: int | None = None
-        self._zero_since_ns: int | None = None
+        self._turning_since_ns: int | None = None
+        self._blind_since_ns: int | None = None
+        self._braking_since_ns: int | None = None
 
-    def measure(self, *, turning: bool, measurable: bool, now_ns: int) -> None:
-        """Take what the wheels say in this cycle."""
+    def measure(self, *, turning: bool | None, measurable: bool, now_ns: int) -> None:
+        """Take what the wheels say in this cycle. `turning` None: not one of them says anything."""
         self.standing = False if turning else True if measurable else None
-        if not self.standing:
-            self._standing_since_ns = None
-        elif self._standing_since_ns is None:
-            self._standing_since_ns = now_ns
+        self._standing_since_ns = _since(self._standing_since_ns, now_ns, holds=turning is False)
+        self._turning_since_ns = _since(self._turning_since_ns, now_ns, holds=turning is True)
+        self._blind_since_ns = _since(self._blind_since_ns, now_ns, holds=turning is None)
 
-    def command(self, *, zero: bool, now_ns: int) -> None:
-        """Take whether the setpoint of this cycle is zero."""
-        if not zero:
-            self._zero_since_ns = None
-        elif self._zero_since_ns is None:
-            self._zero_since_ns = now_ns
+    def command(self, *, braking: bool, now_ns: int) -> None:
+        """Take whether the motors are asked for rest in this cycle, or cannot be asked for anything."""
+        self._braking_since_ns = _since(self._braking_since_ns, now_ns, holds=braking)
+
+    def rolls(self, now_ns: int) -> bool:
+        """Whether a wheel has been turning for a while."""
+        return self._turning_since_ns is not None and now_ns - self._turning_since_ns >= ROLL_NS
 
     def rested(self, now_ns: int) -> bool:
         """Whether the robot may be released."""
-        if self._zero_since_ns is None:
+        if self._braking_since_ns is None:
             return False
-        stood = self._standing_since_ns is not None and now_ns - self._standing_since_ns >= REST_DWELL_NS
-        return stood or now_ns - self._zero_since_ns > REST_TIMEOUT_NS
+        if self._standing_since_ns is not None:
+            return now_ns - self._standing_since_ns >= REST_DWELL_NS
+        if self._blind_since_ns is None:
+            return False
+        return now_ns - max(self._blind_since_ns, self._braking_since_ns) > REST_TIMEOUT_NS
+
+
+def _since(before_ns: int | None, now_ns: int, *, holds: bool) -> int | None:
+    """When the present stretch of a condition began; None while it does not hold."""
+    if not holds:
+        return None
+    return now_ns if before_ns is None else before_ns

@@ -5,7 +5,7 @@ How this works
 Each cycle the engine describes the `Situation`; the first condition that holds in the row of the present mode names
 the next mode. Rules that the table must keep, tested cell by cell:
 - the emergency stop wins from every mode and is left only by a granted reset, never by the passing of time;
-- nothing leads from IDLE to motion but `start`: a fresh zero command, or an explicit reset, with every motor well;
+- nothing leads from IDLE to motion but `start`: a fresh zero command, with every motor well; a reset arms nothing;
 - whatever goes silent or fails while driving leads through STOPPING or FAULT to rest, and from there to IDLE.
 """
 
@@ -26,7 +26,7 @@ class Situation(NamedTuple):
     faulty: bool = False  # any fault at all
     reduced: bool = False  # a motor is lost, every direction is still reachable
     commanded: bool = False  # a source is fresh
-    start: bool = False  # a fresh zero command, or a granted reset, since the robot came to rest
+    start: bool = False  # a fresh zero command since the robot came to rest
     armed: bool = False  # every usable motor obeys
     overdue: bool = False  # arming takes too long
     rested: bool = False  # setpoint zero and the wheels stand, or do not report and had their time

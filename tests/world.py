@@ -1,6 +1,6 @@
 """A robot in virtual time for tests: the real engine, real drivers, simulated controllers and dynamics."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from gateway.config import RobotConfig, parse
@@ -35,9 +35,16 @@ def robot_text(name: str, *, rate_hz: float = 250.0) -> str:
 class World:
     """A closed loop that keeps every cycle, and says in one word what tests want of it."""
 
-    def __init__(self, name: str, *, rate_hz: float = 250.0) -> None:
-        self.text = robot_text(name, rate_hz=rate_hz)
-        self.loop = ClosedLoop(parse(self.text, name))
+    def __init__(
+        self,
+        name: str,
+        *,
+        rate_hz: float = 250.0,
+        edit: Callable[[str], str] = str,
+        joint_angles: Mapping[str, float] | None = None,
+    ) -> None:
+        self.text = edit(robot_text(name, rate_hz=rate_hz))
+        self.loop = ClosedLoop(parse(self.text, name), joint_angles=joint_angles)
         self.records: list[Record] = []
         self.events: list[Event] = []
 
@@ -74,8 +81,10 @@ class World:
         self.events += record[1].events
         return record[1]
 
-    def command(self, twist: Twist, source: str = "teleop", frame: TwistFrame = TwistFrame.BODY) -> TwistCommand:
-        return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns)
+    def command(
+        self, twist: Twist, source: str = "teleop", frame: TwistFrame = TwistFrame.BODY, *, stamped: bool = False
+    ) -> TwistCommand:
+        return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns, source, stamped)
 
     def run(
         self,
@@ -84,12 +93,13 @@ class World:
         *,
         source: str = "teleop",
         frame: TwistFrame = TwistFrame.BODY,
+        stamped: bool = False,
         until: Callable[[Outputs], bool] | None = None,
     ) -> Outputs:
         """So many seconds with this twist streamed every 20 ms (None: silence)."""
         for index in range(round(seconds * 1e9 / self.period_ns)):
             due = twist is not None and index % 5 == 0
-            commands = [self.command(twist, source, frame)] if due and twist is not None else []
+            commands = [self.command(twist, source, frame, stamped=stamped)] if due and twist is not None else []
             outputs = self.cycle(commands=commands)
             if until is not None and until(outputs):
                 break

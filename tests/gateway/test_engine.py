@@ -6,7 +6,7 @@ from math import hypot, pi
 import pytest
 
 from drivers.interface import MotorState
-from gateway.types import ZERO_TWIST, Mode, RequestKind, Twist, TwistFrame
+from gateway.types import ZERO_TWIST, Mode, Reply, Request, RequestKind, Status, Twist, TwistFrame
 from tests.world import NAMES, World
 
 FORWARD = Twist(0.4, 0.0, 0.0)
@@ -76,19 +76,34 @@ def test_a_commander_that_returns_after_rest_must_send_zero_first(name: str) -> 
 
 
 @both
-def test_a_short_dropout_is_only_a_dip(name: str) -> None:
+def test_a_short_dropout_is_only_a_dip_where_the_commander_tells_when_it_sent(name: str) -> None:
+    world = World(name)
+    world.start()
+    world.run(0.2, ZERO_TWIST, stamped=True)
+    world.run(2.0, FORWARD, stamped=True)
+    world.run(0.4)
+    assert world.is_in(Mode.STOPPING)
+    world.run(1.5, FORWARD, stamped=True)
+    assert world.is_in(Mode.DRIVE)
+    assert world.bus.robot.truth.twist[0] == pytest.approx(0.4, abs=0.02)
+
+
+@both
+def test_without_a_stamp_a_silence_needs_a_new_zero(name: str) -> None:
+    """What comes after a silence may be the past of a commander that is long dead."""
     world = moving(name)
     world.run(0.4)
     assert world.is_in(Mode.STOPPING)
-    world.run(1.5, FORWARD)
-    assert world.is_in(Mode.DRIVE)
-    assert world.bus.robot.truth.twist[0] == pytest.approx(0.4, abs=0.02)
+    world.run(3.0, FORWARD)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.02
 
 
 @both
 def test_priorities_and_their_reasons(name: str) -> None:
     world = World(name)
     world.start()
+    world.cycle(commands=[world.command(ZERO_TWIST, "autonomy")])
     for index in range(500):
         commands = [world.command(Twist(0.2, 0, 0), "autonomy")] if index % 5 == 0 else []
         if index < 250 and index % 5 == 0:
@@ -156,14 +171,50 @@ def test_a_zero_from_before_the_release_does_not_start_the_robot(name: str) -> N
 
 
 @both
-def test_an_explicit_reset_arms_a_robot_at_rest(name: str) -> None:
+def test_a_source_that_never_sent_zero_does_not_inherit_the_robot(name: str) -> None:
+    world = World(name)
+    world.start()
+    for index in range(400):
+        commands = [world.command(FORWARD, "autonomy")] if index % 5 == 0 else []
+        if index < 100 and index % 5 == 0:
+            commands.append(world.command(ZERO_TWIST, "teleop"))
+        world.cycle(commands=commands)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.001
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert status.sources[1].reason == "has to send zero first"
+
+
+@both
+def test_another_sender_of_the_same_source_needs_its_own_zero(name: str) -> None:
+    world = moving(name)
+    stranger = [world.command(FORWARD)._replace(sender="somebody else")]
+    world.cycle(commands=stranger)
+    assert world.is_in(Mode.STOPPING)
+
+
+@both
+def test_a_reset_looks_at_every_fresh_source(name: str) -> None:
+    world = World(name)
+    world.start()
+    world.request(RequestKind.ESTOP)
+    for index in range(100):
+        commands = [world.command(FORWARD, "autonomy"), world.command(ZERO_TWIST, "teleop")]
+        world.cycle(commands=commands if index % 5 == 0 else [])
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.reason == "autonomy commands motion; commands must be zero"
+
+
+@both
+def test_a_reset_arms_nothing(name: str) -> None:
     world = World(name)
     world.run(0.5)
     reply = world.request(RequestKind.RESET)
     assert reply is not None
     assert reply.ok
     world.run(0.5, FORWARD)
-    assert world.is_in(Mode.DRIVE)
+    assert world.is_in(Mode.IDLE)
 
 
 def test_offset_robot_stops_when_a_motor_goes_silent_and_recovers_without_moving() -> None:
@@ -254,22 +305,72 @@ def test_shutdown_from_idle_is_immediate(name: str) -> None:
     assert world.last.finished
 
 
-def test_a_joint_that_jumps_is_not_believed() -> None:
+def last_status(world: World) -> Status:
+    return next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+
+
+def incremental(name: str = "moby") -> World:
+    """The same robot with an encoder at its joint that counts from power-on."""
+    world = World(name, edit=lambda text: text.replace('encoder = "absolute"', 'encoder = "incremental"'))
+    world.run(0.3)
+    return world
+
+
+def reference(world: World, angle: float = 0.0, motor: str | None = None) -> Reply:
+    request = Request(RequestKind.REFERENCE, 5, world.now_ns + world.period_ns, motor, angle)
+    return world.cycle(requests=[request]).replies[0]
+
+
+def test_a_joint_that_is_not_absolute_must_be_referenced_before_the_robot_drives() -> None:
+    world = incremental()
+    world.run(4.0, ZERO_TWIST)
+    assert world.is_in(Mode.IDLE)
+    unknown = "platform: joint angle unknown (its encoder is not absolute): drivegate reference moby"
+    assert last_status(world).faults == (unknown,)
+    assert not reference(world, motor="left").ok
+    assert reference(world) == Reply(5, ok=True, reason=None)
+    world.run(1.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+    assert reference(world).reason == "the robot is in mode drive; a joint is referenced at rest"
+
+
+def test_a_referenced_joint_stands_where_it_was_said_to() -> None:
+    """The joint stands at 90 degrees and its counter at zero: after the reference the robot drives forward."""
+    world = World(
+        "moby",
+        edit=lambda text: text.replace('encoder = "absolute"', 'encoder = "incremental"'),
+        joint_angles={"platform": pi / 2},
+    )
+    world.bus.robot.devices["platform"].power_off()
+    world.bus.robot.devices["platform"].power_on()
+    world.run(0.5)
+    assert reference(world, angle=pi / 2).ok
+    world.run(1.0, ZERO_TWIST)
+    world.run(1.0, FORWARD)
+    truth = world.bus.robot.truth.twist
+    assert truth.vx == pytest.approx(0.4, abs=0.1)
+    assert abs(truth.vy) < 0.01
+
+
+def test_a_joint_that_jumps_is_not_believed_and_a_reset_does_not_change_that() -> None:
     """A controller that lost its position would send the offset robot the wrong way."""
     world = World("moby")
     world.start()
-    world.run(4.0, Twist(0.0, 0.0, 0.8))
-    world.run(4.0)
-    assert abs(world.bus.robot.truth.joint_angles[2]) > 1.0
-    world.bus.robot.devices["platform"].power_off()
-    world.run(1.0)
+    world.run(1.0, Twist(0.3, 0.3, 0.0))
+    before = [abs(speed or 0.0) for speed in world.last.trace.wheel_setpoints]
     world.bus.robot.shift_encoder("platform", 1.0)
-    world.bus.robot.devices["platform"].power_on()
-    world.run(1.0)
-    world.run(2.0, ZERO_TWIST)
+    outputs = world.run(0.02, Twist(0.3, 0.3, 0.0))
     assert world.is_in(Mode.FAULT)
-    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
-    assert "platform: position jumped: reference the joint, then reset" in status.faults
+    after = [abs(speed or 0.0) for speed in outputs.trace.wheel_setpoints]
+    assert all(new <= old for new, old in zip(after, before, strict=True)), "in proportion, without the angle"
+    world.run(3.0)
+    assert world.true_speed() < 0.01
+    reply = world.request(RequestKind.RESET)
+    assert reply is not None
+    assert reply.reason == "platform: joint angle unknown (its position jumped): reference it first"
+    assert reference(world).ok
+    world.run(0.1)
+    assert world.is_in(Mode.IDLE)
 
 
 def test_wheels_saturate_together() -> None:

@@ -15,12 +15,18 @@ POSES = [WheelPose(0.3 * cos(a), 0.3 * sin(a), a, RADIUS) for a in (pi / 4, 3 * 
 STEP_NS = 4_000_000
 
 
+def take(odometry: WheelOdometry, positions: list[float | None], step: int, *, residual: float = 0.0) -> list[int]:
+    """One cycle; the joints that jumped."""
+    deltas, jumped = odometry.deltas(positions, step * STEP_NS)
+    odometry.update(deltas, positions, residual=residual, dt=0.004)
+    return jumped
+
+
 def drive(odometry: WheelOdometry, twist: Twist, steps: int, *, residual: float = 0.0, start: int = 0) -> None:
     """Wheel positions of a constant twist, sampled every 4 ms."""
     rates = OmniKinematics(POSES).wheel_speeds(twist)
     for step in range(start, start + steps + 1):
-        positions = [rate * (step - start) * 0.004 for rate in rates]
-        odometry.update(positions, residual=residual, dt=0.004, now_ns=step * STEP_NS)
+        take(odometry, [rate * (step - start) * 0.004 for rate in rates], step, residual=residual)
 
 
 def omni() -> WheelOdometry:
@@ -77,23 +83,23 @@ def test_a_counter_that_restarts_is_no_motion() -> None:
     odometry = omni()
     drive(odometry, Twist(1, 0, 0), 250)
     before = odometry.pose
-    jumped = odometry.update([0.0, 0.0, 0.0, 0.0], residual=None, dt=0.004, now_ns=251 * STEP_NS)
+    jumped = take(odometry, [0.0, 0.0, 0.0, 0.0], 251)
     assert jumped == [0, 1, 2, 3]
     assert odometry.pose == before
-    assert odometry.update([0.01, 0.01, -0.01, -0.01], residual=None, dt=0.004, now_ns=252 * STEP_NS) == []
+    assert take(odometry, [0.01, 0.01, -0.01, -0.01], 252) == []
 
 
 def test_a_late_frame_costs_nothing() -> None:
     odometry = omni()
     rates = OmniKinematics(POSES).wheel_speeds(Twist(1, 0, 0))
     for step in (0, 1, 2, 20, 21):
-        odometry.update([rate * step * 0.004 for rate in rates], residual=None, dt=0.004, now_ns=step * STEP_NS)
+        take(odometry, [rate * step * 0.004 for rate in rates], step)
     assert odometry.pose.x == pytest.approx(0.084)
 
 
 def test_unknown_positions_are_not_zero() -> None:
     odometry = omni()
-    odometry.update([None] * 4, residual=None, dt=0.004, now_ns=0)
+    take(odometry, [None] * 4, 0)
     drive(odometry, Twist(1, 0, 0), 10)
-    odometry.update([None] * 4, residual=None, dt=0.004, now_ns=11 * STEP_NS)
+    take(odometry, [None] * 4, 11)
     assert odometry.pose.x == pytest.approx(0.04)

@@ -12,7 +12,8 @@ from gateway.commands import Arbiter
 from gateway.config import Source
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
-from gateway.health import FOLLOWING_TIME_NS, FaultKind, HealthMonitor
+from gateway.detectors import Limits, Sample
+from gateway.health import RETURN_GRACE_NS, FaultKind, Health, HealthMonitor
 from gateway.reporter import Due
 from gateway.systemd import Notifier
 from gateway.types import ZERO_TWIST, TwistCommand, TwistFrame
@@ -35,49 +36,64 @@ def test_the_timeout_of_a_source_counts_from_arrival_and_is_inclusive() -> None:
     assert [winner and winner.source for winner in winners] == ["high", "high", "low", "low", None]
 
 
+RESTING = Sample(0.0, 0.0, 0.0, 0.0, fresh=True, driving=False, dt=0.004, expected=lambda: None)
+
+
 def monitor() -> HealthMonitor:
-    return HealthMonitor(["left", "right"], top_speeds=[20.0, 20.0])
+    return HealthMonitor(["left", "right"], limits=[Limits(20.0, 10.0)] * 2)
+
+
+def assess(health: HealthMonitor, *feedback: MotorFeedback, energised: bool = True, now_ns: int = 0) -> Health:
+    return health.assess(feedback, [RESTING] * len(feedback), energised=energised, now_ns=now_ns)
 
 
 def test_silence_and_faults_are_told_apart_and_latched_ones_stay() -> None:
     health = monitor()
-    known = {"setpoints": [0.0, 0.0], "speeds": [0.0, 0.0], "driving": False}
-    assert health.assess([WELL, WELL], now_ns=0, **known) == ((True, True), ())  # type: ignore[arg-type]
-    silent = health.assess([SILENT, WELL], now_ns=0, **known)  # type: ignore[arg-type]
+    assert assess(health, WELL, WELL, energised=False) == ((True, True),) * 3 + ((),)
+    silent = assess(health, SILENT, WELL, energised=False)
     assert silent.usable == (False, True)
     assert [(fault.kind, fault.latched, str(fault)) for fault in silent.faults] == [
         (FaultKind.SILENT, False, "left: silent for 0.40 s")
     ]
-    assert health.assess([WELL, BROKEN], now_ns=0, **known).usable == (True, False)  # type: ignore[arg-type]
-    assert health.assess([WELL, WELL], now_ns=0, **known).usable == (True, False)  # type: ignore[arg-type]
+    assert assess(health, WELL, BROKEN, energised=False).usable == (True, False)
+    assert assess(health, WELL, WELL, energised=False).usable == (True, False)
     health.reset()
-    assert health.assess([WELL, WELL], now_ns=0, **known).usable == (True, True)  # type: ignore[arg-type]
+    assert assess(health, WELL, WELL, energised=False).usable == (True, True)
 
 
-def test_a_motor_lost_while_driving_is_not_taken_back_before_rest() -> None:
+def test_a_motor_lost_while_energised_is_not_taken_back_before_rest() -> None:
     health = monitor()
-    health.assess([SILENT, WELL], setpoints=[1.0, 1.0], speeds=[None, 1.0], driving=True, now_ns=0)
-    back = health.assess([WELL, WELL], setpoints=[None, 1.0], speeds=[1.0, 1.0], driving=True, now_ns=1)
-    assert back == ((False, True), ())
+    assess(health, SILENT, WELL)
+    back = assess(health, WELL, WELL, now_ns=1)
+    assert (back.usable, back.obeying, back.faults) == ((False, True), (False, True), ())
+    assert back.brakable == (True, True), "an emergency stop takes every brake there is"
     health.forgive()
-    assert health.assess([WELL, WELL], setpoints=[1.0, 1.0], speeds=[1.0, 1.0], driving=True, now_ns=2).usable[0]
+    assert assess(health, WELL, WELL, now_ns=2).usable[0]
+
+
+def test_a_motor_that_was_released_while_energised_is_lost() -> None:
+    health = monitor()
+    health.lose([1])
+    assert assess(health, WELL, WELL).obeying == (True, False)
+
+
+def test_a_motor_out_of_reach_is_waited_for_and_lost_only_if_it_no_longer_obeys() -> None:
+    for after, obeying in ((WELL, True), (MotorFeedback(MotorState.STARTING, 0.0, 0.0), False)):
+        health = monitor()
+        assess(health, WELL, WELL)
+        away = health.assess([SILENT, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=1)
+        assert (away.usable, away.obeying) == ((False, True), (True, True))
+        assert assess(health, SILENT, WELL, now_ns=1 + RETURN_GRACE_NS - 1).obeying == (True, True)
+        assert assess(health, after, WELL, now_ns=1 + RETURN_GRACE_NS - 1).obeying == (obeying, True)
+    health = monitor()
+    health.assess([SILENT, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=1)
+    assert assess(health, SILENT, WELL, now_ns=1 + RETURN_GRACE_NS).obeying == (False, True)
 
 
 def test_leaving_operation_while_driving_is_a_fault_even_without_an_error_code() -> None:
-    idle = MotorFeedback(MotorState.IDLE, 0.0, 0.0)
-    found = monitor().assess([idle, WELL], setpoints=[1.0, 1.0], speeds=[0.0, 1.0], driving=True, now_ns=0)
-    assert found.usable == (False, True)
-
-
-def test_a_speed_that_does_not_follow_is_a_latched_fault_after_its_time() -> None:
     health = monitor()
-    for now_ns in range(0, FOLLOWING_TIME_NS, 4_000_000):
-        assert health.assess(
-            [WELL, WELL], setpoints=[10.0, 0.0], speeds=[3.0, 0.0], driving=True, now_ns=now_ns
-        ).usable == (True, True)
-    late = health.assess([WELL, WELL], setpoints=[10.0, 0.0], speeds=[3.0, 0.0], driving=True, now_ns=FOLLOWING_TIME_NS)
-    assert late.faults[0].kind is FaultKind.FOLLOWING
-    assert late.faults[0].latched
+    assess(health, WELL, WELL)
+    assert assess(health, MotorFeedback(MotorState.IDLE, 0.0, 0.0), WELL).usable == (False, True)
 
 
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=60))

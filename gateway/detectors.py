@@ -1,0 +1,256 @@
+"""What a motor's own numbers say against it: five detectors, each blind to what the others see.
+
+How this works
+--------------
+Each cycle a motor is a `Sample`; each detector looks at the samples of one motor and answers in words once it is sure.
+| detector | sees | does not mistake for it |
+|---|---|---|
+| stall | torque at its limit, and no motion: a wall, a jam | a slow motor, a heavy robot |
+| frozen encoder | the very same position again and again, where the wheel must be turning | a wheel at rest |
+| runaway | moves on beyond its setpoint, faster and faster: a wrong sign | an impact, a slope, a lag |
+| following | far from its setpoint with torque to spare | torque at its limit: that is overload, no fault |
+| twin | positions that jump to and fro: two controllers answer as one id | one jump |
+Slip is no fault of a motor and is seen from all wheels together (`SlipDetector`).
+Only samples that are new count where a position is compared: a lost frame is no standing wheel.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+AT_LIMIT = 0.8  # of the torque limit, from which a motor is taken to give all it has
+
+STALL_TIME = 0.25  # s
+STALL_WAY = 0.02  # s at top speed: the way that was commanded and not gone
+STALL_BLIND_FACTOR = 2.0  # times that, where the controller does not tell its torque
+STALL_SPEED = 0.1  # of the setpoint; slower counts as no motion
+LEAST_SETPOINT = 0.01  # of top speed; below it nothing is asked of the motor
+
+FREEZE_FROM = 0.1  # of top speed: from there no wheel stops within FREEZE_TIME, except in an encoder
+FREEZE_TIME = 0.012  # s
+FREEZE_SAMPLES = 3
+FREEZE_STRAIN = 0.3  # of the torque limit, which no wheel bears without the slightest motion ...
+FREEZE_STRAIN_TIME = 0.15  # ... for so long, s
+FREEZE_EXPECTED = 0.05  # of top speed, by which the other wheels say that it turns ...
+FREEZE_EXPECTED_TIME = 0.04  # ... for so long, s
+
+RUNAWAY_TIME = 0.05  # s; an impact is over by then
+RUNAWAY_GROWTH = 0.05  # of top speed, beyond the setpoint
+RUNAWAY_RATE = 0.8  # top speeds per second; a slope or a push is slower
+
+FOLLOWING_TOLERANCE = 0.3  # of top speed
+FOLLOWING_TIME = 0.5  # s
+
+TWIN_JUMPS = 5  # within about TWIN_MEMORY
+TWIN_MEMORY = 1.0  # s
+TWIN_WAY = 0.03  # rad; nearer is noise
+TWIN_ACCELERATION = 10.0  # top speeds per second that a wheel may really take between two samples
+
+
+class Sample(NamedTuple):
+    """One motor in one cycle, at its output. `expected`: its speed as the other wheels have it."""
+
+    setpoint: float | None  # rad/s that it was last asked for; None: released
+    speed: float | None
+    position: float | None
+    torque: float | None  # N m; None: the controller does not tell
+    fresh: bool  # whether a measurement arrived since the last cycle
+    driving: bool  # whether the robot is meant to move; else it brakes or is released
+    dt: float
+    expected: Callable[[], float | None]
+
+
+class Limits(NamedTuple):
+    """What the motor can: rad/s and N m at its output."""
+
+    speed: float
+    torque: float
+
+    def strained(self, torque: float | None) -> bool:
+        """Whether the motor gives all it has; None is not known to."""
+        return torque is not None and abs(torque) >= AT_LIMIT * self.torque
+
+
+class Detector(Protocol):
+    """One of the five, for one motor."""
+
+    def look(self, x: Sample) -> str | None:
+        """Take the sample of a cycle; what is wrong, in words, once that is sure."""
+        ...
+
+
+class StallDetector:
+    """Torque at its limit, and no motion."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._time = self._way = 0.0
+
+    def look(self, x: Sample) -> str | None:
+        limits, setpoint, speed = self._limits, x.setpoint, x.speed
+        if (
+            not x.driving
+            or setpoint is None
+            or speed is None
+            or abs(setpoint) < LEAST_SETPOINT * limits.speed
+            or abs(speed) > STALL_SPEED * abs(setpoint)
+            or not (x.torque is None or limits.strained(x.torque))
+        ):
+            self._time = self._way = 0.0
+            return None
+        self._time += x.dt
+        self._way += abs(setpoint) * x.dt
+        patience = STALL_BLIND_FACTOR if x.torque is None else 1.0
+        if self._time < patience * STALL_TIME or self._way < patience * STALL_WAY * limits.speed:
+            return None
+        if x.torque is None:
+            return f"stands still where {setpoint:.2f} rad/s is commanded"
+        return f"stands still against {x.torque:.1f} N m where {setpoint:.2f} rad/s is commanded"
+
+
+class FrozenEncoderDetector:
+    """The very same position again and again, where the wheel must be turning."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._position: float | None = None
+        self._moving = 0.0  # rad/s when the position last changed
+        self._samples = 0
+        self._time = 0.0
+        self._strained = self._contradicted = 0.0
+
+    def look(self, x: Sample) -> str | None:
+        if x.position is None or x.speed is None or x.setpoint is None:
+            self._position = None
+            return None
+        self._time += x.dt
+        if not x.fresh:
+            return None
+        if x.position != self._position:
+            self._position, self._moving = x.position, x.speed
+            self._samples = 0
+            self._time = self._strained = self._contradicted = 0.0
+            return None
+        self._samples += 1
+        return self._judge(x)
+
+    def _judge(self, x: Sample) -> str | None:
+        top = self._limits.speed
+        if abs(self._moving) > FREEZE_FROM * top and self._samples >= FREEZE_SAMPLES and self._time >= FREEZE_TIME:
+            return f"encoder frozen: turned at {self._moving:.2f} rad/s, then not at all"
+        asked = abs(x.setpoint or 0.0) >= LEAST_SETPOINT * top
+        strains = asked and x.torque is not None and abs(x.torque) >= FREEZE_STRAIN * self._limits.torque
+        self._strained = self._strained + x.dt if strains else 0.0
+        if self._strained >= FREEZE_STRAIN_TIME:
+            return f"encoder frozen: not the slightest motion under {x.torque:.1f} N m"
+        if not asked or self._samples < FREEZE_SAMPLES:
+            self._contradicted = 0.0
+            return None
+        expected = x.expected()
+        if expected is None or abs(expected) < FREEZE_EXPECTED * top:
+            self._contradicted = 0.0
+            return None
+        self._contradicted += x.dt
+        if self._contradicted < FREEZE_EXPECTED_TIME:
+            return None
+        return f"encoder frozen: by the other wheels it turns at {expected:.2f} rad/s"
+
+
+class RunawayDetector:
+    """Moves on beyond its setpoint, faster and faster."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._before: tuple[float, float] | None = None  # speed and error of the last new sample
+        self._begun = 0.0  # error when it began to grow
+        self._time = 0.0
+
+    def look(self, x: Sample) -> str | None:
+        if x.setpoint is None or x.speed is None:
+            self._before = None
+            return None
+        self._time += x.dt
+        if not x.fresh:
+            return None
+        speed, error = x.speed, x.speed - x.setpoint
+        before, self._before = self._before, (speed, error)
+        beyond = error * speed > 0.0
+        if before is None or not beyond or abs(error) <= abs(before[1]) or abs(speed) <= abs(before[0]):
+            self._begun, self._time = abs(error), 0.0
+            return None
+        growth, top = abs(error) - self._begun, self._limits.speed
+        if self._time < RUNAWAY_TIME or growth < max(RUNAWAY_GROWTH, RUNAWAY_RATE * self._time) * top:
+            return None
+        return f"runs away: {speed:.2f} rad/s and rising where {x.setpoint:.2f} rad/s is commanded"
+
+
+class FollowingDetector:
+    """Far from its setpoint, with torque to spare."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._time = 0.0
+
+    def look(self, x: Sample) -> str | None:
+        if (
+            not x.driving
+            or x.setpoint is None
+            or x.speed is None
+            or abs(x.setpoint - x.speed) <= FOLLOWING_TOLERANCE * self._limits.speed
+            or self._limits.strained(x.torque)
+        ):
+            self._time = 0.0
+            return None
+        self._time += x.dt
+        if self._time < FOLLOWING_TIME:
+            return None
+        return f"turns at {x.speed:.2f} rad/s where {x.setpoint:.2f} rad/s is commanded"
+
+
+class TwinDetector:
+    """Positions that keep jumping to and fro."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._before: tuple[float, float] | None = None  # position and speed of the last new sample
+        self._time = 0.0
+        self._jumps = 0.0
+
+    def look(self, x: Sample) -> str | None:
+        if x.position is None or x.speed is None:
+            self._before = None
+            return None
+        self._time += x.dt
+        self._jumps *= max(0.0, 1.0 - x.dt / TWIN_MEMORY)
+        if not x.fresh:
+            return None
+        before, self._before = self._before, (x.position, x.speed)
+        time, self._time = self._time, 0.0
+        if before is None:
+            return None
+        gap = abs(x.position - before[0] - 0.5 * (x.speed + before[1]) * time)
+        if gap <= TWIN_WAY + 0.5 * TWIN_ACCELERATION * self._limits.speed * time * time:
+            return None
+        self._jumps += 1.0
+        if self._jumps < TWIN_JUMPS:
+            return None
+        return "its position keeps jumping: two controllers may answer as this id"
+
+
+class SlipDetector:
+    """The wheels together do not fit a rigid motion: at least one of them slips, which one cannot be said."""
+
+    THRESHOLD = 0.08  # m/s of rim speed; above the lag of healthy wheels against each other (measured)
+    TIME = 0.04  # s
+
+    def __init__(self) -> None:
+        self.slipping = False
+        self._time = 0.0
+
+    def look(self, residual: float | None, dt: float) -> None:
+        """Take the rim speed that no rigid motion explains; None where the wheels carry no redundancy."""
+        if residual is None or residual < self.THRESHOLD * (0.5 if self.slipping else 1.0):
+            self._time = 0.0
+            self.slipping = False
+            return
+        self._time += dt
+        self.slipping = self.slipping or self._time >= self.TIME
