@@ -12,7 +12,7 @@ Anyone may put, delete or get `**`, which reaches every key. Therefore:
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType, TracebackType
 from typing import Self
@@ -76,8 +76,8 @@ class ZenohLink:
         self._receivers.subscribe(self._key("cmd/**"), self._refuse_stranger, ring=MAX_STRANGERS)
         answers = iter(self._questions.next_reply, END)
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
-        self._receivers.answer(self._key("cmd/reset"), self._ask_reset, ring=MAX_CROWD)
-        self._receivers.answer(self._key("cmd/reference"), self._ask_reference, ring=MAX_CROWD)
+        for rest, read in (("cmd/reset", _reset), ("cmd/reference", _reference)):
+            self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
         self._receivers.answer(self._key("status"), self._answer_status, ring=MAX_LOOKS)
         answer_config = partial(self._answer_config, config_text.encode())
         self._receivers.answer(self._key("config"), answer_config, ring=MAX_LOOKS)
@@ -173,20 +173,14 @@ class ZenohLink:
             code, text = RefusalCode.KEY_NOT_EXACT, f"put on {shown}: must be an exact key, without wildcards"
         self._mailbox.refusals.append(Refusal(STRANGER, code, text, received_ns))
 
-    def _ask_reset(self, query: zenoh.Query) -> None:
-        self._ask(query, "cmd/reset", Request(RequestKind.RESET, 0, time.monotonic_ns()))
-
-    def _ask_reference(self, query: zenoh.Query) -> None:
-        reference = messages.parse_reference(query.payload.to_bytes() if query.payload else b"")
-        if isinstance(reference, str):
-            answer(query, self._key("cmd/reference"), reference)
-            return
-        self._ask(query, "cmd/reference", Request(RequestKind.REFERENCE, 0, time.monotonic_ns(), *reference))
-
-    def _ask(self, query: zenoh.Query, rest: str, request: Request) -> None:
-        key = self._key(rest)
+    def _ask(self, rest: str, read: Callable[[bytes, int], Request | str], query: zenoh.Query) -> None:
+        key, received_ns = self._key(rest), time.monotonic_ns()
         if str(query.key_expr) != key:
             answer(query, key, f"{rest} {NOT_EXACT}")
+            return
+        request = read(query.payload.to_bytes() if query.payload else b"", received_ns)
+        if isinstance(request, str):
+            answer(query, key, request)
             return
         self._questions.ask(query, key, request)
 
@@ -206,3 +200,12 @@ def _twist(sample: zenoh.Sample, source: str, received_ns: int) -> TwistMessage 
     if sample.kind != zenoh.SampleKind.PUT:
         return Refusal(source, RefusalCode.NOT_A_PUT, "delete: must be a put", received_ns)
     return messages.parse_twist(sample.payload.to_bytes(), source=source, received_ns=received_ns)
+
+
+def _reset(_: bytes, received_ns: int) -> Request:
+    return Request(RequestKind.RESET, 0, received_ns)
+
+
+def _reference(payload: bytes, received_ns: int) -> Request | str:
+    reference = messages.parse_reference(payload)
+    return reference if isinstance(reference, str) else Request(RequestKind.REFERENCE, 0, received_ns, *reference)

@@ -91,11 +91,6 @@ class Questions:
 
 
 def answer(query: zenoh.Query, key: str, reason: str | None, *, ok: bool = False) -> None:
-    """The last word on a query; an asker that does not read loses it."""
+    """The last word on a query."""
     with query:
-        query.reply(
-            key,
-            messages.encode_reply(Reply(0, ok, reason)),
-            encoding=zenoh.Encoding.APPLICATION_JSON,
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
+        query.reply(key, messages.encode_reply(Reply(0, ok, reason)), encoding=zenoh.Encoding.APPLICATION_JSON)

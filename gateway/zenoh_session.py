@@ -25,6 +25,7 @@ MAX_PEERS = 32
 # a hundred of them keep everybody out for 10 s, measured; whoever opens more than 512 a second still does.
 MAX_GREETINGS = 512  # connections that have not opened a session yet; a descriptor each
 ACCEPT_MS = 1000
+BLOCKED_US = 1_000_000  # who does not read what must not be dropped (a reply, a stop) loses its link after this
 OPEN_MS = 2000  # how long we wait for the other side to accept us, before the next try
 CLOSE_S = 2.0  # how long each step of closing may take before the process goes on without it
 
@@ -149,6 +150,7 @@ def _settings(listen: Sequence[str], connect: Sequence[str], size: int, scouting
         "scouting/gossip/enabled": scouting,
         "transport/link/rx/max_message_size": size,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_US,
         "transport/unicast/max_sessions": MAX_PEERS,
         "transport/unicast/accept_pending": MAX_GREETINGS,
         "transport/unicast/accept_timeout": ACCEPT_MS,

@@ -215,7 +215,7 @@ def test_a_stamp_from_the_future_locks_its_sender_out_only_for_a_while() -> None
     ppm=st.integers(-100, 100),
 )
 def test_nothing_passes_later_than_the_timeout_after_it_was_sent(steps: list[tuple[int, int]], ppm: int) -> None:
-    """Whatever the delays: older than the fastest by more than the timeout never passes, nor is anything made younger."""
+    """Whatever the delays: nothing older than the fastest by more than the timeout passes, nothing gets younger."""
     gate, sent_ns, arrival_ns, fastest_ns = SourceGate(TIMEOUT_NS), 0, 0, None
     for gap_ms, delay_ms in steps:
         sent_ns += gap_ms * MS
