@@ -127,9 +127,10 @@ def test_refusals_of_a_source_are_known_by_code_and_name() -> None:
 
 
 def test_start_sends_zeros_and_believes_no_state_of_before() -> None:
-    fake = FakeClient([_state(Mode.DRIVE), _state(Mode.IDLE), _state(Mode.STARTING), _state(Mode.DRIVE)])
+    before = _state(Mode.DRIVE)
+    fake = FakeClient([before, before, _state(Mode.IDLE), _state(Mode.STARTING), _state(Mode.DRIVE)])
     assert start(_client(fake), "teleop", timeout=10.0)
-    assert fake.sent == [ZERO_TWIST] * 3
+    assert fake.sent == [ZERO_TWIST] * 4
 
 
 @pytest.mark.parametrize(("mode", "source"), [(Mode.ESTOP, "teleop"), (Mode.IDLE, "ghost")])
