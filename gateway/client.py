@@ -8,24 +8,30 @@ It may be opened before the gateway: the connection is retried until it stands, 
 """
 
 import re
+import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from math import inf
+from operator import index
 from threading import Condition
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self, SupportsFloat, SupportsIndex, TypeVar
 
 import zenoh
 
 from gateway import messages
 from gateway.config import NAME_PATTERN
 from gateway.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
-from gateway.types import ZERO_TWIST, Twist, TwistFrame
+from gateway.types import ZERO_TWIST, Mode, TwistFrame
 from gateway.zenoh_session import LinkError, Receivers, open_session
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
 MAX_EVENTS = 1024  # kept for `events`; the oldest are dropped
+STOP_REPEAT_S = 0.2
+# A laptop that slept must not come back with stamps that are too small: this clock goes on meanwhile, where it exists.
+_STAMP_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 _T = TypeVar("_T")
 
@@ -47,9 +53,11 @@ class Client:
         self._alive = False
         self._odometry: OdometryMessage | None = None
         self._state: StateMessage | None = None
+        self._state_at = 0.0  # monotonic, s
         self._truth: TruthMessage | None = None
         self._events: deque[EventMessage] = deque(maxlen=MAX_EVENTS)
         self._commanders: dict[str, zenoh.Publisher] = {}
+        self._sender = secrets.token_hex(4)
         # Larger than that of a former client on this machine, whose numbers would make ours look old.
         self._sequence = time.monotonic_ns() // 1000
         self._session = open_session(
@@ -65,31 +73,55 @@ class Client:
 
     def send_twist(
         self,
-        vx: float,
-        vy: float,
-        wz: float,
+        vx: SupportsFloat,
+        vy: SupportsFloat,
+        wz: SupportsFloat,
         *,
         source: str,
         frame: TwistFrame | None = None,
-        sequence: int | None = None,
+        sequence: SupportsIndex | None = None,
     ) -> None:
-        """Puts one command; without `sequence` the client counts itself."""
-        self._sequence = self._sequence + 1 if sequence is None else sequence
-        payload = messages.encode_twist(Twist(vx, vy, wz), frame=frame, sequence=self._sequence)
+        """Puts one command, any kind of number; without `sequence` the client counts itself.
+
+        Raises ValueError, naming axis and range, for a twist that no robot takes; TypeError for what is no number.
+        """
+        payload = messages.encode_twist(
+            (vx, vy, wz),
+            frame=frame,
+            sequence=self._sequence + 1 if sequence is None else sequence,
+            stamp=time.clock_gettime(_STAMP_CLOCK),
+            sender=self._sender,
+        )
+        self._sequence = self._sequence + 1 if sequence is None else index(sequence)
         self._commander(source).put(payload)
 
     def stop(self, timeout: float = 2.0) -> bool:
-        """Latched emergency stop, at once and again when the robot appears; False: no robot was there to hear it."""
+        """Latched emergency stop, put again until the robot's state says so; False: it did not in time.
+
+        With a timeout of 0 it is put once and nothing is waited for.
+        """
         self._stop_publisher.put(b"stop")
-        if not self.alive and self.wait_alive(timeout):
+        seen, deadline = self._state, time.monotonic() + timeout
+
+        def stopped(state: StateMessage) -> bool:
+            return state is not seen and state.status.mode is Mode.ESTOP
+
+        while (left := deadline - time.monotonic()) > 0.0:
+            if self.wait_for_state(stopped, min(left, STOP_REPEAT_S)):
+                return True
             self._stop_publisher.put(b"stop")
-        return self.alive
+        return False
 
     def reset(self, timeout: float = 2.0) -> ResetAnswer:
         """Asks to release the emergency stop or to clear a fault."""
-        payload = self._get("cmd/reset", timeout)
-        answer = None if payload is None else messages.decode_reply(payload)
-        return answer or ResetAnswer(False, f"no answer from {self._robot} within {timeout:g} s")
+        return self._ask("cmd/reset", None, timeout)
+
+    def reference(self, motor: str | None = None, angle: SupportsFloat = 0.0, timeout: float = 2.0) -> ResetAnswer:
+        """Says that a steered joint (the only one, where `motor` is None) stands at this angle now, rad at the output.
+
+        Raises ValueError for an angle out of range or what is no name.
+        """
+        return self._ask("cmd/reference", messages.encode_reference(motor, angle), timeout)
 
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""
@@ -113,6 +145,10 @@ class Client:
     def state(self) -> StateMessage | None:
         """The newest received state."""
         return self._state
+
+    def state_age(self) -> float:
+        """Seconds since the newest state was received; infinite when there was none."""
+        return inf if self._state is None else time.monotonic() - self._state_at
 
     def truth(self) -> TruthMessage | None:
         """Where a simulated robot really is; None for a real one."""
@@ -168,12 +204,17 @@ class Client:
             self._commanders[source] = self._publisher(key, zenoh.CongestionControl.DROP)
         return self._commanders[source]
 
-    def _get(self, rest: str, timeout: float) -> bytes | None:
+    def _ask(self, rest: str, request: bytes | None, timeout: float) -> ResetAnswer:
+        payload = self._get(rest, timeout, request)
+        answer = None if payload is None else messages.decode_reply(payload)
+        return answer or ResetAnswer(False, f"no answer from {self._robot} within {timeout:g} s")
+
+    def _get(self, rest: str, timeout: float, request: bytes | None = None) -> bytes | None:
         deadline = time.monotonic() + timeout
         if not self.wait_alive(timeout):
             return None
         left = max(deadline - time.monotonic(), 0.001)
-        for reply in self._session.get(self._key(rest), timeout=left):
+        for reply in self._session.get(self._key(rest), payload=request, timeout=left):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
         return None
@@ -201,7 +242,7 @@ class Client:
         self._odometry = message
 
     def _keep_state(self, message: StateMessage) -> None:
-        self._state = message
+        self._state, self._state_at = message, time.monotonic()
 
     def _keep_truth(self, message: TruthMessage) -> None:
         self._truth = message

@@ -6,17 +6,17 @@ takes, so nobody ever waits; a deque of one keeps the newest. Whoever takes sees
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from queue import SimpleQueue
 from typing import NamedTuple, TypeVar
 
 from gateway import messages
-from gateway.types import Event, Level, Refusal, RefusalCode, Request, RequestKind, TwistCommand
+from gateway.types import Event, Level, Refusal, Request, RequestKind, TwistCommand
 
 MAX_REFUSALS = 32  # waiting for the loop; the oldest are dropped
 MAX_EVENTS = 256  # waiting to be published; those that find no room are counted
-RESET_EXPIRY_NS = 500_000_000  # a request seen later is dropped: its asker would be told "no answer" although it worked
+MAX_QUESTIONS = 16  # requests with an answer, waiting for the loop
+QUESTION_EXPIRY_NS = 500_000_000  # one seen later is dropped: its asker would be told "no answer" although it worked
 
 _Dated = TypeVar("_Dated", TwistCommand, Refusal, Request)
 
@@ -32,37 +32,15 @@ class Drained(NamedTuple):
 NOTHING = Drained((), (), ())
 
 
-@dataclass(slots=True)
-class SequenceGate:
-    """Lets the commands of one source pass in growing sequence; starts anew after a silence longer than the timeout."""
-
-    timeout_ns: int
-    _sequence: int | None = None
-    _accepted_ns: int = 0
-
-    def admit(self, command: TwistCommand) -> TwistCommand | Refusal:
-        """The command itself, or why it is too old. Only accepted commands end a silence."""
-        if command.sequence is None:
-            self._accepted_ns = command.received_ns
-            return command
-        # A commander that restarted counts from its beginning; it is believed once its former self has timed out.
-        silent = command.received_ns - self._accepted_ns > self.timeout_ns
-        if self._sequence is not None and command.sequence <= self._sequence and not silent:
-            text = f"seq = {command.sequence}: must be greater than the last accepted one, {self._sequence}"
-            return Refusal(command.source, RefusalCode.OLD_SEQUENCE, text, command.received_ns)
-        self._sequence, self._accepted_ns = command.sequence, command.received_ns
-        return command
-
-
 class Mailbox:
     """From the subscribers' threads, which append, to the loop, which takes."""
 
     def __init__(self, sources: Iterable[str]) -> None:
         self.commands: dict[str, deque[TwistCommand]] = {source: deque(maxlen=1) for source in sources}
         self.refusals: deque[Refusal] = deque(maxlen=MAX_REFUSALS)
-        self.resets: deque[Request] = deque(maxlen=1)
+        self.questions: deque[Request] = deque(maxlen=MAX_QUESTIONS)
         self.stops: deque[Request] = deque(maxlen=1)
-        self._all = (*self.commands.values(), self.refusals, self.resets, self.stops)
+        self._all = (*self.commands.values(), self.refusals, self.questions, self.stops)
 
     def drain(self, now_ns: int) -> Drained:
         """Everything that waits: of each source the newest command; nothing dated after `now_ns`."""
@@ -70,7 +48,8 @@ class Mailbox:
             return NOTHING
         commands = [slot.popleft() for slot in self.commands.values() if slot]
         refusals = [self.refusals.popleft() for _ in range(len(self.refusals))]
-        requests = [slot.popleft() for slot in (self.resets, self.stops) if slot]
+        requests = [self.questions.popleft() for _ in range(len(self.questions))]
+        requests += [self.stops.popleft() for _ in range(len(self.stops))]
         return Drained(
             commands=tuple(_not_after(now_ns, command) for command in commands),
             refusals=tuple(_not_after(now_ns, refusal) for refusal in refusals),
@@ -128,4 +107,4 @@ def _not_after(now_ns: int, item: _Dated) -> _Dated:
 
 
 def _expired(request: Request, now_ns: int) -> bool:
-    return request.kind is RequestKind.RESET and now_ns - request.received_ns > RESET_EXPIRY_NS
+    return request.kind is not RequestKind.ESTOP and now_ns - request.received_ns > QUESTION_EXPIRY_NS

@@ -2,9 +2,10 @@
 
 | key                  | verb       | payload                                                                        |
 |----------------------|------------|--------------------------------------------------------------------------------|
-| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz", "frame": "body" or "odom" (optional), "seq": n (optional)}` |
+| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz"}` and, each optional, `"frame", "seq", "stamp", "sender"`   |
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
+| `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
@@ -14,17 +15,22 @@
 | `alive`              | liveliness | there while the gateway runs                                                   |
 
 A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
-MAX_PAYLOAD bytes. `seq` grows by any step from one command to the next. `t` is CLOCK_MONOTONIC of the cycle, seconds.
+MAX_PAYLOAD bytes. `frame` is "body" (when left out) or "odom". `seq` grows by any step from one command to the next.
+`stamp` is when it was sent, in seconds of a clock of the sender's own that never stands still and is never set;
+`sender` names the process, anew at each start of it. `t` is CLOCK_MONOTONIC of the cycle, seconds.
 """
 
 import json
 from collections.abc import Mapping
 from enum import Enum
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from math import inf
+from operator import index
+from typing import Annotated, Literal, NamedTuple, SupportsFloat, SupportsIndex, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json, to_json
 
+from gateway.config import NAME_PATTERN
 from gateway.types import (
     Event,
     Level,
@@ -43,6 +49,9 @@ MAX_PAYLOAD = 1024  # bytes; a full twist is below 200
 MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong unit
 MAX_TURN = 50.0  # rad/s: likewise
 MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
+MAX_STAMP = 1e10  # s, three centuries; a double still tells microseconds apart
+MAX_ANGLE = 6.3  # rad: one turn of a steered joint either way
+SENDER_PATTERN = r"^[A-Za-z0-9_.-]{1,32}$"
 MAX_SHOWN = 40  # characters of a stranger's value in a message
 
 _ALLOWED = {
@@ -51,6 +60,10 @@ _ALLOWED = {
     "wz": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "frame": "'body' or 'odom'",
     "seq": "a whole number from 0 to 2^63-1",
+    "stamp": f"a number from 0 to {MAX_STAMP:g} s",
+    "sender": f"text that matches {SENDER_PATTERN}",
+    "motor": f"the name of a motor, matching {NAME_PATTERN}, or null",
+    "angle": f"a number from {-MAX_ANGLE:g} to {MAX_ANGLE:g} rad",
 }
 _CODES = {
     "finite_number": RefusalCode.NOT_FINITE,
@@ -68,6 +81,29 @@ class _TwistPayload(BaseModel):
     wz: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
     frame: Literal["body", "odom"] = "body"
     seq: Annotated[int, Field(ge=0, le=MAX_SEQUENCE)] | None = None
+    stamp: Annotated[float, Field(ge=0.0, le=MAX_STAMP)] | None = None
+    sender: Annotated[str, Field(pattern=SENDER_PATTERN)] | None = None
+
+
+class _ReferencePayload(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    motor: Annotated[str, Field(pattern=NAME_PATTERN)] | None = None
+    angle: Annotated[float, Field(ge=-MAX_ANGLE, le=MAX_ANGLE)] = 0.0
+
+
+class TwistMessage(NamedTuple):
+    """A command as it came; `stamp_ns`: when it was sent by its sender's clock, None: not told."""
+
+    command: TwistCommand
+    stamp_ns: int | None
+
+
+class Reference(NamedTuple):
+    """At which angle (rad at the output, from its zero) a steered joint stands; `motor` None: the only one."""
+
+    motor: str | None
+    angle: float
 
 
 class OdometryMessage(NamedTuple):
@@ -111,7 +147,7 @@ class TruthMessage(NamedTuple):
 
 
 class ResetAnswer(NamedTuple):
-    """Whether the robot was reset, and if not, why."""
+    """Whether the robot did what was asked (a reset, a reference), and if not, why."""
 
     ok: bool
     reason: str | None
@@ -124,28 +160,55 @@ _TRUTH = TypeAdapter(TruthMessage)
 _RESET = TypeAdapter(ResetAnswer)
 
 
-def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistCommand | Refusal:
+def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistMessage | Refusal:
     """The command in the payload, or why there is none. Total: no payload raises."""
-
-    def refusal(code: RefusalCode, text: str) -> Refusal:
-        return Refusal(source, code, text, received_ns)
-
-    if len(payload) > MAX_PAYLOAD:
-        return refusal(RefusalCode.TOO_LONG, f"payload of {len(payload)} bytes: must be at most {MAX_PAYLOAD} bytes")
     try:
         parsed = _TwistPayload.model_validate(_document(payload))
     except ValidationError as error:
-        return refusal(*_reason(error))
-    except (ValueError, RecursionError) as error:
-        return refusal(RefusalCode.MALFORMED, f"payload: must be a JSON object in UTF-8: {str(error)[:80]}")
+        return Refusal(source, *_reason(error, _TwistPayload), received_ns)
+    except _UnreadableError as error:
+        return Refusal(source, error.code, str(error), received_ns)
     twist = Twist(parsed.vx, parsed.vy, parsed.wz)
-    return TwistCommand(source, twist, TwistFrame(parsed.frame), parsed.seq, received_ns)
+    command = TwistCommand(source, twist, TwistFrame(parsed.frame), parsed.seq, received_ns, parsed.sender)
+    return TwistMessage(command, None if parsed.stamp is None else round(parsed.stamp * 1e9))
 
 
-def encode_twist(twist: Twist, *, frame: TwistFrame | None = None, sequence: int | None = None) -> bytes:
-    """What a commander puts on `cmd/twist/<source>`."""
-    optional = {"frame": frame, "seq": sequence}
-    return _json(twist._asdict() | {key: value for key, value in optional.items() if value is not None})
+def encode_twist(
+    twist: tuple[SupportsFloat, SupportsFloat, SupportsFloat],
+    *,
+    frame: TwistFrame | None = None,
+    sequence: SupportsIndex | None = None,
+    stamp: float | None = None,
+    sender: str | None = None,
+) -> bytes:
+    """What a commander puts on `cmd/twist/<source>`; any kind of number (numpy's, fractions) travels as a number.
+
+    Raises ValueError, naming key and range, for what the gateway would refuse; TypeError for what is no number.
+    """
+    document = {key: _number(key, value) for key, value in zip(Twist._fields, twist, strict=True)}
+    optional = {
+        "frame": None if frame is None else frame.value,
+        "seq": None if sequence is None else index(sequence),
+        "stamp": stamp,
+        "sender": sender,
+    }
+    return _checked(document | {key: value for key, value in optional.items() if value is not None}, _TwistPayload)
+
+
+def parse_reference(payload: bytes) -> Reference | str:
+    """What the payload of a `cmd/reference` says, or what is wrong with it. Total: no payload raises."""
+    try:
+        parsed = _ReferencePayload.model_validate(_document(payload))
+    except ValidationError as error:
+        return _reason(error, _ReferencePayload)[1]
+    except _UnreadableError as error:
+        return str(error)
+    return Reference(parsed.motor, parsed.angle)
+
+
+def encode_reference(motor: str | None, angle: SupportsFloat) -> bytes:
+    """Payload of a `cmd/reference`. Raises like `encode_twist`."""
+    return _checked({"motor": motor, "angle": _number("angle", angle)}, _ReferencePayload)
 
 
 def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
@@ -171,7 +234,7 @@ def encode_truth(pose: Pose, t: float) -> bytes:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Answer of `cmd/reset`."""
+    """Answer of `cmd/reset` and `cmd/reference`."""
     return _json(ResetAnswer(reply.ok, reply.reason))
 
 
@@ -205,8 +268,21 @@ def decode_reply(payload: bytes) -> ResetAnswer | None:
     return _decoded(_RESET, payload)
 
 
+class _UnreadableError(ValueError):
+    def __init__(self, code: RefusalCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
 def _document(payload: bytes) -> object:
-    document: object = json.loads(payload.decode(), object_pairs_hook=_unique)
+    if len(payload) > MAX_PAYLOAD:
+        text = f"payload of {len(payload)} bytes: must be at most {MAX_PAYLOAD} bytes"
+        raise _UnreadableError(RefusalCode.TOO_LONG, text)
+    try:
+        document: object = json.loads(payload.decode(), object_pairs_hook=_unique)
+    except (ValueError, RecursionError) as error:
+        text = f"payload: must be a JSON object in UTF-8: {str(error)[:80]}"
+        raise _UnreadableError(RefusalCode.MALFORMED, text) from None
     return document
 
 
@@ -217,16 +293,34 @@ def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return document
 
 
-def _reason(error: ValidationError) -> tuple[RefusalCode, str]:
+def _reason(error: ValidationError, payload: type[BaseModel]) -> tuple[RefusalCode, str]:
     first = error.errors(include_url=False, include_context=False)[0]
     key = str(first["loc"][0]) if first["loc"] else ""
-    if key not in _ALLOWED:
+    if key not in payload.model_fields:
         what = f"unknown key {_shown(key)}" if key else "payload"
-        return RefusalCode.MALFORMED, f"{what}: must be a JSON object of {', '.join(_ALLOWED)}"
+        return RefusalCode.MALFORMED, f"{what}: must be a JSON object of {', '.join(payload.model_fields)}"
     if first["type"] == "missing":
         return RefusalCode.MALFORMED, f"{key} is missing: must be {_ALLOWED[key]}"
     code = RefusalCode.WRONG_FRAME if key == "frame" else _CODES.get(first["type"], RefusalCode.MALFORMED)
     return code, f"{key} = {_shown(first['input'])}: must be {_ALLOWED[key]}"
+
+
+def _number(key: str, value: SupportsFloat) -> float:
+    if isinstance(value, bool) or not isinstance(value, SupportsFloat):
+        raise TypeError(f"{key} = {_shown(value)}: must be {_ALLOWED[key]}")
+    try:
+        return float(value)
+    except OverflowError:  # a whole number or a fraction beyond what a float can hold
+        return inf
+
+
+def _checked(document: Mapping[str, object], payload: type[BaseModel]) -> bytes:
+    """The document on the wire. Raises ValueError where it is none of this kind."""
+    try:
+        payload.model_validate(document)
+    except ValidationError as error:
+        raise ValueError(_reason(error, payload)[1]) from None
+    return _json(document)
 
 
 def _shown(value: object) -> str:
@@ -238,7 +332,12 @@ def _shown(value: object) -> str:
 
 
 def _json(document: object) -> bytes:
-    return to_json(_plain(document), inf_nan_mode="null", fallback=str)
+    return to_json(_plain(document), inf_nan_mode="null", fallback=_foreign)
+
+
+def _foreign(value: object) -> object:
+    """A number of another library as a number, everything else as text."""
+    return float(value) if isinstance(value, SupportsFloat) else str(value)
 
 
 def _plain(value: object) -> object:

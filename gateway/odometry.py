@@ -22,7 +22,9 @@ _JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allow
 _SMALL_ANGLE = 1e-6
 
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
-_ZERO_COVARIANCE: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+# Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
+_FIRST_VARIANCE = 1e-6  # m^2, m^2, rad^2
+_FIRST_COVARIANCE: Covariance = (_FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE)
 
 
 def advance(pose: Pose, delta: Twist) -> Pose:
@@ -48,7 +50,7 @@ class WheelOdometry:
         self._unseen: set[int] = set()  # joints that fell silent since their position was last known
         self.pose = Pose(0.0, 0.0, 0.0)
         self._jumped: list[int] = []
-        self._covariance: Covariance = _ZERO_COVARIANCE
+        self._covariance: Covariance = _FIRST_COVARIANCE
         self._reference = self.pose  # pose at which the covariance was last brought up to date
         self._way = 0.0
         self._turned = 0.0

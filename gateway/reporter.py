@@ -18,6 +18,7 @@ from gateway.types import (
     TwistCommand,
 )
 
+MAX_KINDS = 256  # told apart by the throttle; a robot file has far fewer
 REPEAT_NS = 1_000_000_000  # the same event is told at most this often; what was held back is counted
 GREETING_NS = 1_000_000_000  # motors that have not answered yet are no news for so long after start
 _BUS_LEVELS = {BusEventKind.UP: Level.INFO, BusEventKind.ERROR_ACTIVE: Level.INFO, BusEventKind.DOWN: Level.ERROR}
@@ -48,13 +49,18 @@ class Due:
 
 
 class _Throttle:
-    """Lets the first of a kind pass at once and later ones once per REPEAT_NS, with the count of those held back."""
+    """Lets the first of a kind pass at once and later ones once per REPEAT_NS, with the count of those held back.
+
+    Kinds beyond MAX_KINDS count as one, so that no flood of new kinds takes memory or passes as news.
+    """
 
     def __init__(self) -> None:
         self._seen: dict[Hashable, tuple[int, int]] = {}
 
     def admit(self, key: Hashable, now_ns: int, weight: int = 1) -> int:
         """How many to tell of now: 0 while held back."""
+        if key not in self._seen and len(self._seen) >= MAX_KINDS:
+            key = None
         last_ns, held = self._seen.get(key, (now_ns - REPEAT_NS, 0))
         if now_ns - last_ns < REPEAT_NS:
             self._seen[key] = (last_ns, held + weight)
@@ -71,6 +77,7 @@ class Reporter:
         self.status_due = Due(config.zenoh.state_rate)
         self.refused = 0
         self.tx_dropped = 0
+        self._sources = frozenset(source.name for source in config.commands.source)
         self._throttle = _Throttle()
         self._first_ns: int | None = None
         self._mode = Mode.IDLE
@@ -111,19 +118,21 @@ class Reporter:
         events += self._fault_changes(faults, now_ns)
         events += self._slip_change(slipping, now_ns)
         kinds = {request.id: request.kind.value for request in inputs.requests}
-        events += [
-            Event(Level.INFO, kinds[reply.id], "granted")
-            if reply.ok
-            else Event(Level.WARNING, f"{kinds[reply.id]}_refused", str(reply.reason))
-            for reply in replies
-        ]
+        events += [event for reply in replies for event in self._reply(kinds[reply.id], reply, now_ns)]
         events += self._mode_change(mode, reason)
         return tuple(events)
 
     def _refusal(self, refusal: Refusal, now_ns: int) -> list[Event]:
         self.refused += 1
-        count = self._throttle.admit((refusal.source, refusal.code), now_ns)
+        source = refusal.source if refusal.source in self._sources else None  # a stranger's name is no kind of its own
+        count = self._throttle.admit((source, refusal.code), now_ns)
         return _counted(Level.WARNING, f"refused_{refusal.code.value}", f"{refusal.source}: {refusal.text}", count)
+
+    def _reply(self, kind: str, reply: Reply, now_ns: int) -> list[Event]:
+        count = self._throttle.admit((kind, reply.ok, reply.reason), now_ns)
+        if reply.ok:
+            return _counted(Level.INFO, kind, "granted", count)
+        return _counted(Level.WARNING, f"{kind}_refused", str(reply.reason), count)
 
     def _bus(self, event: BusEvent, now_ns: int) -> list[Event]:
         if event.kind is BusEventKind.TX_DROPPED:

@@ -7,15 +7,13 @@ which the loop empties once per cycle with `drain`; what the loop says goes thro
 Anyone may put, delete or get `**`, which reaches every key. Therefore:
 - a twist drives only when it was put on exactly the key of a configured source;
 - whatever reaches `cmd/stop` stops, also a delete or a wildcard: a stop too many is safe, a missed one is not;
-- a reset counts only when asked by its exact key, because a get on `**` is how people look around;
+- a reset or a reference counts only when asked by its exact key, because a get on `**` is how people look around;
 - everything else under `cmd/` is refused and reported.
 """
 
-import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from queue import Empty, SimpleQueue
 from types import MappingProxyType, TracebackType
 from typing import Self
 
@@ -23,7 +21,9 @@ import zenoh
 
 from gateway import messages
 from gateway.config import RobotConfig
-from gateway.mailbox import Drained, Mailbox, Outbox, SequenceGate
+from gateway.mailbox import Drained, Mailbox, Outbox
+from gateway.messages import TwistMessage
+from gateway.source_gate import SourceGate
 from gateway.types import (
     Event,
     Odometry,
@@ -34,17 +34,17 @@ from gateway.types import (
     Request,
     RequestKind,
     Status,
-    TwistCommand,
 )
+from gateway.zenoh_questions import END, Questions, answer
 from gateway.zenoh_session import CLOSE_S, LinkError, Receivers, open_session
 
 MAX_MESSAGE_SIZE = 65_536  # bytes; Zenoh drops longer ones before they take memory
 MAX_STRANGERS = 64  # samples waiting to be refused; the oldest are dropped
-MAX_QUESTIONS = 8  # waiting for state or robot file; likewise
+MAX_LOOKS = 8  # queries waiting for state or robot file; likewise
+MAX_CROWD = 512  # queries waiting to be told that too many wait already; likewise
 MAX_KEY_SHOWN = 64  # characters of a stranger's key in a message
-RESET_ANSWER_S = 1.0
-NO_ANSWER = Reply(0, False, f"no answer from the control loop within {RESET_ANSWER_S:g} s")
-NOT_EXACT = Reply(0, False, "a reset must be asked by its exact key, without wildcards")
+STRANGER = "a stranger"  # the source of what no source has sent: no name of the robot file, and always the same
+NOT_EXACT = "must be asked by its exact key, without wildcards"
 NO_EXTRAS: Mapping[str, object] = MappingProxyType({})
 
 
@@ -57,8 +57,7 @@ class ZenohLink:
         self._own_keys = {self._key(f"cmd/twist/{source}") for source in self._sources} | {self._key("cmd/stop")}
         self._mailbox = Mailbox(self._sources)
         self._outbox = Outbox()
-        self._replies: SimpleQueue[Reply] = SimpleQueue()
-        self._request_ids = itertools.count(1)
+        self._questions = Questions(self._mailbox.questions.append)
         self._state: bytes | None = None
         self._session = open_session(
             listen=config.zenoh.listen,
@@ -71,14 +70,17 @@ class ZenohLink:
         self._receivers = Receivers(self._session)
         self._publishing = self._receivers.pump("publisher", iter(self._outbox.calls.get, False), self._send)
         for source in config.commands.source:
-            gate = SequenceGate(round(source.timeout * 1e9))
+            gate = SourceGate(round(source.timeout * 1e9))
             self._receivers.subscribe(self._key(f"cmd/twist/{source.name}"), partial(self._receive, source.name, gate))
         self._receivers.subscribe(self._key("cmd/stop"), self._stop)
         self._receivers.subscribe(self._key("cmd/**"), self._refuse_stranger, ring=MAX_STRANGERS)
-        self._receivers.answer(self._key("cmd/reset"), self._answer_reset)
-        self._receivers.answer(self._key("status"), self._answer_status, ring=MAX_QUESTIONS)
+        answers = iter(self._questions.next_reply, END)
+        self._answering = self._receivers.pump("answers", answers, self._questions.settle)
+        for rest, read in (("cmd/reset", _reset), ("cmd/reference", _reference)):
+            self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
+        self._receivers.answer(self._key("status"), self._answer_status, ring=MAX_LOOKS)
         answer_config = partial(self._answer_config, config_text.encode())
-        self._receivers.answer(self._key("config"), answer_config, ring=MAX_QUESTIONS)
+        self._receivers.answer(self._key("config"), answer_config, ring=MAX_LOOKS)
         self._token = self._session.liveliness().declare_token(self._key("alive"))
 
     def drain(self, now_ns: int) -> Drained:
@@ -89,7 +91,7 @@ class ZenohLink:
 
     def reply(self, reply: Reply) -> None:
         """Answers the request with this id; never waits."""
-        self._replies.put(reply)
+        self._questions.reply(reply)
 
     def publish(
         self,
@@ -115,7 +117,9 @@ class ZenohLink:
     def close(self) -> None:
         """Publishes what waits, withdraws from the network and ends the threads, in bounded time."""
         self._outbox.calls.put(False)
+        self._questions.close()
         self._publishing.join(CLOSE_S)
+        self._answering.join(CLOSE_S)
         self._receivers.close()
 
     def __enter__(self) -> Self:
@@ -143,13 +147,12 @@ class ZenohLink:
             if name == "state":
                 self._state = payload
 
-    def _receive(self, source: str, gate: SequenceGate, sample: zenoh.Sample) -> None:
+    def _receive(self, source: str, gate: SourceGate, sample: zenoh.Sample) -> None:
         received_ns = time.monotonic_ns()
         if str(sample.key_expr) != self._key(f"cmd/twist/{source}"):
             return  # a wildcard: refused by the subscriber of strangers
-        outcome = _twist(sample, source, received_ns)
-        if isinstance(outcome, TwistCommand):
-            outcome = gate.admit(outcome)
+        message = _twist(sample, source, received_ns)
+        outcome = message if isinstance(message, Refusal) else gate.admit(*message)
         if isinstance(outcome, Refusal):
             self._mailbox.refusals.append(outcome)
             return
@@ -168,23 +171,18 @@ class ZenohLink:
             code, text = RefusalCode.NOT_A_PUT, f"delete on {shown}: must be a put"
         elif "*" in key:
             code, text = RefusalCode.KEY_NOT_EXACT, f"put on {shown}: must be an exact key, without wildcards"
-        self._mailbox.refusals.append(Refusal(shown.removeprefix(self._key("cmd/twist/")), code, text, received_ns))
+        self._mailbox.refusals.append(Refusal(STRANGER, code, text, received_ns))
 
-    def _answer_reset(self, query: zenoh.Query) -> None:
-        key = self._key("cmd/reset")
-        with query:
-            reply = self._reset() if str(query.key_expr) == key else NOT_EXACT
-            query.reply(key, messages.encode_reply(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
-
-    def _reset(self) -> Reply:
-        request = Request(RequestKind.RESET, next(self._request_ids), time.monotonic_ns())
-        self._mailbox.resets.append(request)
-        deadline = time.monotonic() + RESET_ANSWER_S
-        while (left := deadline - time.monotonic()) > 0:
-            reply = _next(self._replies, left)
-            if reply is not None and reply.id == request.id:
-                return reply
-        return NO_ANSWER
+    def _ask(self, rest: str, read: Callable[[bytes, int], Request | str], query: zenoh.Query) -> None:
+        key, received_ns = self._key(rest), time.monotonic_ns()
+        if str(query.key_expr) != key:
+            answer(query, key, f"{rest} {NOT_EXACT}")
+            return
+        request = read(query.payload.to_bytes() if query.payload else b"", received_ns)
+        if isinstance(request, str):
+            answer(query, key, request)
+            return
+        self._questions.ask(query, key, request)
 
     def _answer_status(self, query: zenoh.Query) -> None:
         with query:
@@ -198,14 +196,16 @@ class ZenohLink:
             query.reply(self._key("config"), text, encoding=zenoh.Encoding.TEXT_PLAIN)
 
 
-def _twist(sample: zenoh.Sample, source: str, received_ns: int) -> TwistCommand | Refusal:
+def _twist(sample: zenoh.Sample, source: str, received_ns: int) -> TwistMessage | Refusal:
     if sample.kind != zenoh.SampleKind.PUT:
         return Refusal(source, RefusalCode.NOT_A_PUT, "delete: must be a put", received_ns)
     return messages.parse_twist(sample.payload.to_bytes(), source=source, received_ns=received_ns)
 
 
-def _next(replies: SimpleQueue[Reply], timeout: float) -> Reply | None:
-    try:
-        return replies.get(timeout=timeout)
-    except Empty:
-        return None
+def _reset(_: bytes, received_ns: int) -> Request:
+    return Request(RequestKind.RESET, 0, received_ns)
+
+
+def _reference(payload: bytes, received_ns: int) -> Request | str:
+    reference = messages.parse_reference(payload)
+    return reference if isinstance(reference, str) else Request(RequestKind.REFERENCE, 0, received_ns, *reference)

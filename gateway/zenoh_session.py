@@ -21,6 +21,12 @@ from zenoh.handlers import RingChannel
 LEASE_MS = 2000  # a peer that freezes is dropped after this; Zenoh's default is 10 s
 RECONNECT_MS = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 MAX_PEERS = 32
+# A connection that never says a word holds a place until ACCEPT_MS is over. With Zenoh's own bounds (100 places, 10 s)
+# a hundred of them keep everybody out for 10 s, measured; whoever opens more than 512 a second still does.
+MAX_GREETINGS = 512  # connections that have not opened a session yet; a descriptor each
+ACCEPT_MS = 1000
+BLOCKED_US = 1_000_000  # who does not read what must not be dropped (a reply, a stop) loses its link after this
+OPEN_MS = 2000  # how long we wait for the other side to accept us, before the next try
 CLOSE_S = 2.0  # how long each step of closing may take before the process goes on without it
 
 logger = logging.getLogger(__name__)
@@ -144,7 +150,11 @@ def _settings(listen: Sequence[str], connect: Sequence[str], size: int, scouting
         "scouting/gossip/enabled": scouting,
         "transport/link/rx/max_message_size": size,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_US,
         "transport/unicast/max_sessions": MAX_PEERS,
+        "transport/unicast/accept_pending": MAX_GREETINGS,
+        "transport/unicast/accept_timeout": ACCEPT_MS,
+        "transport/unicast/open_timeout": OPEN_MS,
         # The implicit path has a race under load (zenoh issue 2628), and our messages are too small to gain from it.
         "transport/shared_memory/enabled": False,
     }

@@ -139,9 +139,11 @@ def _give(
         if isinstance(one, TwistCommand):
             client.send_twist(*one.twist, source=one.source, frame=one.frame)
         elif one.kind is RequestKind.ESTOP:
-            client.stop()
+            client.stop(timeout=0.0)  # waiting for its confirmation would delay what follows
         elif one.kind is RequestKind.RESET:
             client.reset()
+        elif one.kind is RequestKind.REFERENCE:
+            client.reference(one.motor, one.angle or 0.0)
         else:
             service.send_signal(signal.SIGTERM)
 

@@ -19,6 +19,7 @@ EDGES = {
     "gateway/realtime.py",
     "gateway/systemd.py",
     "gateway/zenoh_link.py",
+    "gateway/zenoh_questions.py",
     "gateway/zenoh_session.py",
     "replay/player.py",
     "replay/redrive.py",

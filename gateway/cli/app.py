@@ -24,6 +24,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "send": "operate",
     "watch": "operate",
     "stop": "operate",
+    "reference": "reference",
     "demo": "demo",
     "sim": "sim",
     "scenario": "scenario",

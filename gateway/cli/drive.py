@@ -2,26 +2,42 @@
 
 A terminal reports presses and repeats, no releases: a key counts as held until its repeats stop for RELEASE_S. Then,
 at exit and on any error, zero is sent; if even that fails the robot's own command timeout stops it.
+
+Nothing here waits for the robot: a stop is put at once, and threads of their own wait for what it answers.
 """
 
+import os
 import select
 import sys
 import termios
 import time
 import tty
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Annotated, TextIO
 
 import typer
 from rich.live import Live
 from rich.text import Text
 
-from gateway.cli.operate import COMMAND_RATE_HZ, Connect, RobotName, open_client
+from gateway.cli.operate import (
+    COMMAND_RATE_HZ,
+    EXIT_REFUSED,
+    Connect,
+    RobotName,
+    is_refusal,
+    mode_words,
+    objection,
+    open_client,
+)
 from gateway.cli.output import complain, console
 from gateway.client import Client
-from gateway.types import ZERO_TWIST, Twist
+from gateway.messages import ResetAnswer
+from gateway.types import ZERO_TWIST, Level, Twist
 
+MAX_READ = 1024  # bytes; a second of keys is far less
 RELEASE_S = 0.6  # terminals wait up to half a second before the first repeat
 KEYS = {
     "w": Twist(1.0, 0.0, 0.0),
@@ -48,48 +64,107 @@ def drive(
     if not sys.stdin.isatty():
         complain("drive needs a terminal; use `drivegate send` in scripts")
         raise typer.Exit(2)
-    with open_client(name, connect, zero_on_exit=True) as client, _raw(sys.stdin):
-        _loop(client, source, Twist(speed, speed, turn))
+    with open_client(name, connect, zero_on_exit=True) as client:
+        robot = _Robot(client, source)
+        with ThreadPoolExecutor(2) as waiting, _raw(sys.stdin):
+            _loop(robot, Keys(Twist(speed, speed, turn)), waiting)
+    if robot.stop is not None and not robot.stop.result():
+        complain(f"{name} did not confirm the emergency stop")
+        raise typer.Exit(EXIT_REFUSED)
 
 
-def _loop(client: Client, source: str, scale: Twist) -> None:
-    held, held_since = ZERO_TWIST, 0.0
+@dataclass(slots=True)
+class Keys:
+    """What the keys ask for. Time is an argument, s."""
+
+    scale: Twist
+    stop: bool = False  # asked for by the last read; so for the next two
+    reset: bool = False
+    quit: bool = False
+    _held: Twist = ZERO_TWIST
+    _held_since: float = 0.0
+
+    def press(self, keys: str, now: float) -> None:
+        """All keys of one read: of those that move the last one counts, and a stop wins over all that move or reset."""
+        self.stop, self.quit = STOP_KEY in keys, not QUIT_KEYS.isdisjoint(keys)
+        self.reset = RESET_KEY in keys and not self.stop
+        for key in keys:
+            if key in KEYS:
+                self._held, self._held_since = KEYS[key], now
+        if self.stop or now - self._held_since > RELEASE_S:
+            self._held = ZERO_TWIST
+
+    @property
+    def twist(self) -> Twist:
+        """What is to be sent."""
+        return Twist(*(part * size for part, size in zip(self._held, self.scale, strict=True)))
+
+
+@dataclass(slots=True)
+class _Robot:
+    """The robot as this command sees it: what it was asked, what it answered, and its last word on our source."""
+
+    client: Client
+    source: str
+    stop: Future[bool] | None = None
+    reset: Future[ResetAnswer] | None = None
+    told: str = ""
+
+    @property
+    def stopping(self) -> bool:
+        return self.stop is not None and not self.stop.done()
+
+    def ask(self, keys: Keys, waiting: ThreadPoolExecutor) -> None:
+        """A stop is put at once, whatever is still waited for."""
+        if keys.stop:
+            self.client.stop(timeout=0.0)
+            self.stop = self.stop if self.stopping else waiting.submit(self.client.stop)
+        if keys.reset and (self.reset is None or self.reset.done()):
+            self.reset = waiting.submit(self.client.reset)
+
+    def hear(self) -> None:
+        """Keeps the newest event that a driver should see."""
+        for event in self.client.events():
+            if event.level is not Level.INFO or is_refusal(event, self.source):
+                self.told = f"{event.code}: {event.text}"
+
+
+def _loop(robot: _Robot, keys: Keys, waiting: ThreadPoolExecutor) -> None:
     with Live(console=console, refresh_per_second=10) as live:
         while True:
-            key = _key(1.0 / COMMAND_RATE_HZ)
-            if key in QUIT_KEYS:
+            keys.press(_read(1.0 / COMMAND_RATE_HZ), time.monotonic())
+            robot.ask(keys, waiting)
+            if keys.quit:
                 return
-            if key == STOP_KEY:
-                client.stop()
-            elif key == RESET_KEY:
-                client.reset()
-            elif key in KEYS:
-                held, held_since = KEYS[key], time.monotonic()
-            if time.monotonic() - held_since > RELEASE_S:
-                held = ZERO_TWIST
-            twist = Twist(*(part * size for part, size in zip(held, scale, strict=True)))
-            client.send_twist(*twist, source=source)
-            live.update(_picture(client, twist))
+            twist = ZERO_TWIST if robot.stopping else keys.twist
+            robot.client.send_twist(*twist, source=robot.source)
+            robot.hear()
+            live.update(Text("\n".join(_lines(robot, twist))))
 
 
-def _key(timeout: float) -> str | None:
-    """The newest key pressed within the timeout."""
-    key = None
-    while select.select([sys.stdin], [], [], timeout)[0]:
-        key, timeout = sys.stdin.read(1), 0.0
-        if key == "":
-            return "x"
-    return key
+def _read(timeout: float) -> str:
+    """The keys pressed within the timeout; the end of the terminal counts as the key that quits."""
+    # Not through sys.stdin: what it buffers, select does not see, and a stop key would wait for the next key.
+    if not select.select([sys.stdin], [], [], timeout)[0]:
+        return ""
+    return os.read(sys.stdin.fileno(), MAX_READ).decode(errors="ignore") or "x"
 
 
-def _picture(client: Client, twist: Twist) -> Text:
-    state, odometry = client.state(), client.odometry()
-    lines = [HELP, f"command  vx {twist.vx:+.2f}  vy {twist.vy:+.2f}  wz {twist.wz:+.2f}"]
-    if state is not None:
-        lines.append(f"mode     {state.status.mode.value}  {state.status.reason or ''}")
+def _lines(robot: _Robot, twist: Twist) -> Iterator[str]:
+    client, odometry = robot.client, robot.client.odometry()
+    yield HELP
+    yield f"command  vx {twist.vx:+.2f}  vy {twist.vy:+.2f}  wz {twist.wz:+.2f}"
+    yield f"mode     {mode_words(client)}"
+    yield f"source   {objection(client, robot.source) or f'{robot.source} drives'}"
     if odometry is not None:
-        lines.append(f"pose     x {odometry.x:+.2f}  y {odometry.y:+.2f}  theta {odometry.theta:+.2f}")
-    return Text("\n".join(lines))
+        yield f"pose     x {odometry.x:+.2f}  y {odometry.y:+.2f}  theta {odometry.theta:+.2f}"
+    if robot.stop is not None:
+        yield f"stop     {'sent' if robot.stopping else 'confirmed' if robot.stop.result() else 'NOT CONFIRMED'}"
+    if robot.reset is not None and robot.reset.done():
+        answer = robot.reset.result()
+        yield f"reset    {'granted' if answer.ok else answer.reason}"
+    if robot.told:
+        yield f"last     {robot.told}"
 
 
 @contextmanager

@@ -11,8 +11,8 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.config import ConfigError, load
-from gateway.messages import EventMessage, StateMessage
-from gateway.types import Mode
+from gateway.messages import EventMessage, ResetAnswer, StateMessage, encode_twist
+from gateway.types import ZERO_TWIST, Mode, Pose, Twist
 
 EXIT_NO_ROBOT = 69
 EXIT_REFUSED = 1
@@ -20,6 +20,10 @@ COMMAND_RATE_HZ = 50.0
 ALIVE_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 8.0
 REST_TIMEOUT_S = 10.0
+STOP_TIMEOUT_S = 3.0
+STALE_S = 0.5  # a state that old says nothing of now
+DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
+ENDED = frozenset({Mode.ESTOP, Mode.FAULT})  # left by a person, not by more commands
 _EVENTS_SHOWN = 8
 
 RobotName = Annotated[str, typer.Argument(help="Name of the robot, or its robot file.")]
@@ -56,41 +60,110 @@ def send(  # noqa: PLR0917  # a command line: each parameter is an option with a
     seconds: Annotated[float, typer.Option("--for", min=0.0, max=3600.0, help="Duration, s.")] = 1.0,
     source: Annotated[str, typer.Option(help="Command source as named in the robot file.")] = "teleop",
     connect: Connect = None,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
     """Arm the robot with zero commands, drive one twist for a while, and bring it to rest."""
+    twist = Twist(vx, vy, wz)
+    try:
+        encode_twist(twist)
+    except ValueError as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect, zero_on_exit=True) as client:
-        if not start(client, source):
-            state = client.state()
-            complain(f"{name} does not start: {state.status.reason if state else 'no state received'}")
-            raise typer.Exit(EXIT_REFUSED)
-        stream(client, source, vx, vy, wz, seconds=seconds)
-        rested = rest(client, source)
+        reason = _send(client, source, twist, seconds)
+        refusals = list(dict.fromkeys(event.text for event in client.events() if is_refusal(event, source)))
         odometry = client.odometry()
-        if odometry is not None:
-            console.print(f"at x {odometry.x:.3f} m, y {odometry.y:.3f} m, theta {odometry.theta:.3f} rad")
-        if not rested:
-            complain(f"{name} did not come to rest within {REST_TIMEOUT_S:g} s")
-            raise typer.Exit(EXIT_REFUSED)
+    pose = None if odometry is None else Pose(odometry.x, odometry.y, odometry.theta)
+    if json:
+        print_json({"ok": reason is None, "reason": reason, "refusals": refusals, "pose": pose and pose._asdict()})
+    elif pose is not None:
+        console.print(f"at x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad")
+    for refusal in refusals:
+        complain(f"refused: {refusal}")
+    if reason is not None:
+        complain(f"{name}: {reason}")
+        raise typer.Exit(EXIT_REFUSED)
+
+
+def _send(client: Client, source: str, twist: Twist, seconds: float) -> str | None:
+    """Drives; what was not as asked, None: all was."""
+    if not start(client, source):
+        return f"does not start: {objection(client, source) or 'it drove too late'}"
+    before = client.odometry()
+    reason = stream(client, source, *twist, seconds=seconds)
+    if not rest(client, source) and reason is None:
+        return f"did not come to rest within {REST_TIMEOUT_S:g} s"
+    after = client.odometry()
+    moved = before is None or after is None or before[1:4] != after[1:4]
+    if reason is None and twist != ZERO_TWIST and seconds > 0.0 and not moved:
+        return "nothing moved"
+    return reason
+
+
+def objection(client: Client, source: str) -> str | None:
+    """Why this source does not drive the robot now; None: it does."""
+    state = client.state()
+    if not client.alive:
+        return "the robot is gone"
+    if state is None:
+        return "no state received"
+    status = state.status
+    reasons = {one.name: one.reason for one in status.sources}
+    if source not in reasons:
+        return f"no source {source}: the sources are {', '.join(reasons)}"
+    if status.mode not in DRIVING:
+        return f"mode {status.mode.value}" + (f": {status.reason}" if status.reason else "")
+    return None if status.winner == source else f"source {source}: {reasons[source]}"
+
+
+def mode_words(client: Client) -> str:
+    """The robot's mode and its reason; that they are unknown where the last state is old or the robot gone."""
+    state, age = client.state(), client.state_age()
+    if state is None:
+        return "unknown: no state received"
+    mode = state.status.mode.value
+    if not client.alive:
+        return f"unknown: the robot is gone (was {mode} {age:.1f} s ago)"
+    if age > STALE_S:
+        return f"unknown: no state for {age:.1f} s (was {mode})"
+    return mode + (f" ({state.status.reason})" if state.status.reason else "")
+
+
+def is_refusal(event: EventMessage, source: str) -> bool:
+    """A command of this source was not taken, also because another sender holds the source."""
+    return event.code.startswith("refused_") and event.text.startswith(f"{source}: ")
 
 
 def start(client: Client, source: str, timeout: float = START_TIMEOUT_S) -> bool:
-    """Zero commands until the robot drives; True when it does."""
+    """Zero commands until the robot drives; True when it does, False also as soon as it is clear that it will not."""
     deadline = time.monotonic() + timeout
+    before = client.state()
     while time.monotonic() < deadline:
         client.send_twist(0.0, 0.0, 0.0, source=source)
         state = client.state()
-        if state is not None and state.status.mode in (Mode.DRIVE, Mode.DEGRADED) and state.status.winner == source:
-            return True
+        if state is not None and state is not before:
+            if objection(client, source) is None:
+                return True
+            known = {one.name for one in state.status.sources}
+            if source not in known or state.status.mode is Mode.ESTOP:
+                return False
         time.sleep(1.0 / COMMAND_RATE_HZ)
     return False
 
 
-def stream(client: Client, source: str, vx: float, vy: float, wz: float, *, seconds: float) -> None:
-    """One twist at the command rate for so long."""
+def stream(client: Client, source: str, vx: float, vy: float, wz: float, *, seconds: float) -> str | None:
+    """One twist at the command rate for so long, or until the robot stops for good; why it does not drive at the end.
+
+    A source that was outranked or late for a moment goes on.
+    """
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
+        state = client.state()
+        if not client.alive or (state is not None and state.status.mode in ENDED):
+            break
         client.send_twist(vx, vy, wz, source=source)
         time.sleep(1.0 / COMMAND_RATE_HZ)
+    return objection(client, source)
 
 
 def rest(client: Client, source: str) -> bool:
@@ -116,16 +189,25 @@ def stop(
     """Emergency stop, latched; with --reset, ask to release it (refused unless commands are zero and it stands)."""
     with open_client(name, connect) as client:
         if reset:
-            ok, reason = client.reset()
+            answer = client.reset()
+        elif client.stop(STOP_TIMEOUT_S):
+            answer = ResetAnswer(True, None)
         else:
-            client.stop()
-            stopped = client.wait_for_state(lambda state: state.status.mode is Mode.ESTOP, 3.0)
-            ok, reason = stopped is not None, None if stopped else "the robot did not confirm the stop"
+            answer = ResetAnswer(
+                False, f"no emergency stop confirmed within {STOP_TIMEOUT_S:g} s: {mode_words(client)}"
+            )
+    tell(answer, json=json)
+
+
+def tell(answer: ResetAnswer, *, json: bool) -> None:
+    """What the robot answered; leaves the command with exit 0 when it did what was asked."""
     if json:
-        print_json({"ok": ok, "reason": reason})
+        print_json(answer._asdict())
+    elif answer.ok:
+        console.print("done")
     else:
-        console.print("done" if ok else f"refused: {reason}")
-    raise typer.Exit(0 if ok else EXIT_REFUSED)
+        complain(f"refused: {answer.reason}")
+    raise typer.Exit(0 if answer.ok else EXIT_REFUSED)
 
 
 def watch(
@@ -138,23 +220,23 @@ def watch(
         events: list[EventMessage] = []
         if once:
             state = client.wait_for_state(lambda _: True, ALIVE_TIMEOUT_S)
-            console.print(_table(name, state, events))
+            console.print(_table(name, client, state, events))
             return
         try:
-            with Live(_table(name, None, events), console=console, refresh_per_second=10) as live:
+            with Live(_table(name, client, None, events), console=console, refresh_per_second=10) as live:
                 while True:
                     events = [*events, *client.events()][-_EVENTS_SHOWN:]
-                    live.update(_table(name, client.state() if client.alive else None, events))
+                    live.update(_table(name, client, client.state(), events))
                     time.sleep(0.1)
         except KeyboardInterrupt:
             return
 
 
-def _table(name: str, state: StateMessage | None, events: list[EventMessage]) -> Table:
+def _table(name: str, client: Client, state: StateMessage | None, events: list[EventMessage]) -> Table:
+    title = f"{name}: {mode_words(client)}"
     if state is None:
-        return Table(title=f"{name}: no state received")
+        return Table(title=title)
     status = state.status
-    title = f"{name}: {status.mode.value}" + (f" ({status.reason})" if status.reason else "")
     caption = [
         f"pose x {status.pose.x:.3f} m  y {status.pose.y:.3f} m  theta {status.pose.theta:.3f} rad",
         f"winner {status.winner or '-'}  limits {', '.join(status.limits_active) or '-'}  cycle {status.cycle}",

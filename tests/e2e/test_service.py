@@ -36,7 +36,7 @@ def test_drive_silence_stop_and_verify(name: str, tmp_path: Path, free_port: int
         outranked = {source.name: source.reason for source in state.status.sources}["autonomy"]
         assert outranked is not None
 
-        client.stop()
+        assert client.stop()
         robot.await_state(in_mode(Mode.ESTOP))
         robot.await_state(standing)
         robot.stream(0.3, 0.0, 0.0, until=lambda state: state.status.winner == "teleop")
@@ -127,10 +127,21 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         odometry = robot.client.odometry()
         assert odometry is not None
         assert odometry.y > 0.15
+        wrong = drivegate("send", "omni4", "--vx", "100")
+        assert (wrong.returncode, wrong.stderr.strip()) == (1, "vx = 100.0: must be a number from -20 to 20 m/s")
+        ghost = drivegate("send", "omni4", "--source", "ghost", "--json")
+        assert ghost.returncode == 1
+        reason = json.loads(ghost.stdout.splitlines()[-1])["reason"]
+        assert reason == "does not start: no source ghost: the sources are teleop, autonomy"
+        turned = drivegate("reference", "omni4", "--angle", "7")
+        assert (turned.returncode, turned.stderr.strip()) == (1, "angle = 7.0: must be a number from -6.3 to 6.3 rad")
         stopped = drivegate("stop", "omni4", "--json")
         assert stopped.returncode == 0, stopped.stderr
         assert json.loads(stopped.stdout)["ok"] is True
         assert "estop" in drivegate("watch", "omni4", "--once").stdout
+        latched = drivegate("send", "omni4", "--vx", "0.3")
+        assert latched.returncode == 1
+        assert "does not start: mode estop: emergency stop: needs a reset" in latched.stderr
         robot.await_state(lambda state: state.status.winner is None)
         released = drivegate("stop", "omni4", "--reset", "--json")
         assert json.loads(released.stdout.splitlines()[-1]) == {"ok": True, "reason": None}
@@ -152,7 +163,7 @@ def test_keyboard_teleoperation(tmp_path: Path, free_port: int) -> None:
             robot.await_state(faster_than(0.25))
             state = robot.await_state(lambda state: state.status.standing is True)
             assert state.status.mode is Mode.DRIVE, "released, not silent"
-            os.write(keyboard, b"!")
+            os.write(keyboard, b"www!")  # one read
             robot.await_state(in_mode(Mode.ESTOP))
             os.write(keyboard, b"x")
             assert teleop.wait(10.0) == 0

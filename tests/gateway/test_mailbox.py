@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from gateway.mailbox import MAX_EVENTS, MAX_REFUSALS, NOTHING, RESET_EXPIRY_NS, Mailbox, Outbox, SequenceGate
+from gateway.mailbox import MAX_EVENTS, MAX_QUESTIONS, MAX_REFUSALS, NOTHING, QUESTION_EXPIRY_NS, Mailbox, Outbox
 from gateway.messages import decode_event
 from gateway.types import (
     ZERO_TWIST,
@@ -19,11 +19,9 @@ from gateway.types import (
     TwistFrame,
 )
 
-TIMEOUT_NS = 200_000_000
 
-
-def _command(received_ns: int, *, source: str = "teleop", sequence: int | None = None) -> TwistCommand:
-    return TwistCommand(source, ZERO_TWIST, TwistFrame.BODY, sequence, received_ns)
+def _command(received_ns: int, *, source: str = "teleop") -> TwistCommand:
+    return TwistCommand(source, ZERO_TWIST, TwistFrame.BODY, None, received_ns)
 
 
 def test_the_newest_command_of_each_source_in_the_order_of_the_robot_file() -> None:
@@ -48,16 +46,24 @@ def test_a_stop_comes_after_a_reset_of_the_same_cycle() -> None:
     mailbox = Mailbox([])
     stop, reset = Request(RequestKind.ESTOP, 0, 1), Request(RequestKind.RESET, 1, 2)
     mailbox.stops.append(stop)
-    mailbox.resets.append(reset)
+    mailbox.questions.append(reset)
     assert mailbox.drain(3).requests == (reset, stop)
 
 
-def test_a_loop_that_stalled_takes_the_stop_but_not_the_reset() -> None:
+@pytest.mark.parametrize("kind", [RequestKind.RESET, RequestKind.REFERENCE])
+def test_a_loop_that_stalled_takes_the_stop_but_no_question(kind: RequestKind) -> None:
     mailbox = Mailbox([])
     stop = Request(RequestKind.ESTOP, 0, 1)
     mailbox.stops.append(stop)
-    mailbox.resets.append(Request(RequestKind.RESET, 1, 1))
-    assert mailbox.drain(2 + RESET_EXPIRY_NS).requests == (stop,)
+    mailbox.questions.append(Request(kind, 1, 1))
+    assert mailbox.drain(2 + QUESTION_EXPIRY_NS).requests == (stop,)
+
+
+def test_questions_of_several_askers_reach_the_loop_in_one_cycle() -> None:
+    mailbox = Mailbox([])
+    asked = [Request(RequestKind.RESET, request_id, 1) for request_id in range(1, MAX_QUESTIONS + 1)]
+    mailbox.questions.extend(asked)
+    assert mailbox.drain(2).requests == tuple(asked)
 
 
 def test_refusals_are_bounded() -> None:
@@ -71,31 +77,6 @@ def test_an_empty_drain_is_cheap() -> None:
     mailbox = Mailbox([f"source{index}" for index in range(32)])
     best_s = min(timeit.repeat(partial(mailbox.drain, 0), number=1000, repeat=20)) / 1000
     assert best_s < 5e-6
-
-
-def test_sequences_grow() -> None:
-    gate = SequenceGate(TIMEOUT_NS)
-    assert gate.admit(_command(1, sequence=5)) == _command(1, sequence=5)
-    assert gate.admit(_command(2, sequence=9)) == _command(2, sequence=9)
-    refusal = gate.admit(_command(3, sequence=9))
-    assert refusal == Refusal(
-        "teleop", RefusalCode.OLD_SEQUENCE, "seq = 9: must be greater than the last accepted one, 9", 3
-    )
-
-
-@pytest.mark.parametrize(("silence_ns", "admitted"), [(TIMEOUT_NS, False), (TIMEOUT_NS + 1, True)])
-def test_a_restarted_commander_is_admitted_after_the_timeout(silence_ns: int, admitted: bool) -> None:
-    gate = SequenceGate(TIMEOUT_NS)
-    gate.admit(_command(1, sequence=100))
-    gate.admit(_command(1 + silence_ns // 2, sequence=0))  # refused, and no sign of life of the former one
-    assert isinstance(gate.admit(_command(1 + silence_ns, sequence=1)), TwistCommand) is admitted
-
-
-def test_commands_without_sequence_pass_and_keep_the_source_awake() -> None:
-    gate = SequenceGate(TIMEOUT_NS)
-    gate.admit(_command(1, sequence=100))
-    assert isinstance(gate.admit(_command(TIMEOUT_NS)), TwistCommand)
-    assert isinstance(gate.admit(_command(TIMEOUT_NS + 2, sequence=100)), Refusal)
 
 
 def test_the_outbox_keeps_the_newest_state_and_all_events() -> None:

@@ -2,7 +2,12 @@
 
 import json
 import math
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, SupportsFloat
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,7 +37,7 @@ JSON_VALUES = st.recursive(
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     max_leaves=8,
 )
-KEYS = st.sampled_from(["vx", "vy", "wz", "frame", "seq"]) | st.text(max_size=8)
+KEYS = st.sampled_from(["vx", "vy", "wz", "frame", "seq", "stamp", "sender"]) | st.text(max_size=8)
 MOTOR = MotorStatus(
     name="left",
     state="closed loop",
@@ -66,7 +71,8 @@ STATUS = Status(
 
 
 def _parse(payload: bytes) -> TwistCommand | Refusal:
-    return parse_twist(payload, source="teleop", received_ns=5)
+    outcome = parse_twist(payload, source="teleop", received_ns=5)
+    return outcome if isinstance(outcome, Refusal) else outcome.command
 
 
 def _refusal(payload: bytes) -> Refusal:
@@ -109,6 +115,15 @@ def test_the_ranges_include_their_ends(edge: float) -> None:
         (b'{"vx":[[]],"vy":0,"wz":0}', "MALFORMED", "vx = a list: must be a number from -20 to 20 m/s"),
         (b'{"vx":0,"vy":0}', "MALFORMED", "wz is missing: must be a number from -50 to 50 rad/s"),
         (b'{"vx":0,"vy":0,"wz":0,"seq":1.5}', "MALFORMED", "seq = 1.5: must be a whole number from 0 to 2^63-1"),
+        (b'{"vx":0,"vy":0,"wz":0,"stamp":-0.1}', "OUT_OF_RANGE", "stamp = -0.1: must be a number from 0 to 1e+10 s"),
+        (b'{"vx":0,"vy":0,"wz":0,"stamp":1e308}', "OUT_OF_RANGE", "stamp = 1e+308: must be a number from 0 to 1e+10 s"),
+        (b'{"vx":0,"vy":0,"wz":0,"stamp":NaN}', "NOT_FINITE", "stamp = nan: must be a number from 0 to 1e+10 s"),
+        (b'{"vx":0,"vy":0,"wz":0,"stamp":"1"}', "MALFORMED", "stamp = '1': must be a number from 0 to 1e+10 s"),
+        (b'{"vx":0,"vy":0,"wz":0,"sender":""}', "MALFORMED", "sender = '': must be text that matches"),
+        (b'{"vx":0,"vy":0,"wz":0,"sender":"a#1"}', "MALFORMED", "sender = 'a#1': must be text that matches"),
+        (b'{"vx":0,"vy":0,"wz":0,"sender":"a\\n"}', "MALFORMED", "sender = 'a\\n': must be text that matches"),
+        (b'{"vx":0,"vy":0,"wz":0,"sender":"%s"}' % (b"a" * 33), "MALFORMED", "must be text that matches"),
+        (b'{"vx":0,"vy":0,"wz":0,"sender":7}', "MALFORMED", "sender = 7: must be text that matches"),
         (b'{"vx":0,"vy":0,"wz":0,"vz":0}', "MALFORMED", "unknown key 'vz': must be a JSON object of vx, vy, wz"),
         (b'{"vx":0,"vx":1,"vy":0,"wz":0}', "MALFORMED", "a key is given twice"),
         (b"[1,2,3]", "MALFORMED", "payload: must be a JSON object of vx, vy, wz"),
@@ -134,10 +149,12 @@ def test_a_strangers_value_is_shown_short_and_in_ascii() -> None:
 def test_no_bytes_raise(payload: bytes) -> None:
     outcome = _parse(payload)
     assert isinstance(outcome, Refusal)
+    assert isinstance(messages.parse_reference(payload), str)
 
 
 @given(st.dictionaries(KEYS, JSON_VALUES, max_size=6))
 def test_no_json_raises_and_only_finite_twists_in_range_pass(document: dict[str, object]) -> None:
+    messages.parse_reference(json.dumps(document).encode())
     outcome = _parse(json.dumps(document).encode())
     if isinstance(outcome, Refusal):
         assert outcome.text.isascii()
@@ -154,7 +171,86 @@ def test_no_json_raises_and_only_finite_twists_in_range_pass(document: dict[str,
 )
 def test_a_twist_survives_the_wire(twist: Twist, frame: TwistFrame, sequence: int | None) -> None:
     payload = messages.encode_twist(twist, frame=frame, sequence=sequence)
-    assert _parse(payload) == TwistCommand("teleop", twist, frame, sequence, 5)
+    assert parse_twist(payload, source="teleop", received_ns=5) == (
+        TwistCommand("teleop", twist, frame, sequence, 5),
+        None,
+    )
+
+
+@given(st.floats(0.0, messages.MAX_STAMP), st.from_regex(messages.SENDER_PATTERN, fullmatch=True))
+def test_stamp_and_sender_survive_the_wire(stamp: float, sender: str) -> None:
+    sender = sender.rstrip("\n")  # Python's $ lets one pass
+    payload = messages.encode_twist(ZERO_TWIST, stamp=stamp, sender=sender)
+    message = parse_twist(payload, source="teleop", received_ns=5)
+    assert not isinstance(message, Refusal)
+    assert message.command == TwistCommand("teleop", ZERO_TWIST, TwistFrame.BODY, None, 5, sender)
+    assert message.stamp_ns == pytest.approx(stamp * 1e9, abs=1000)
+
+
+@pytest.mark.parametrize(
+    "number", [0.5, np.float32(0.5), np.float64(0.5), np.float16(0.5), Decimal("0.5"), Fraction(1, 2)], ids=repr
+)
+def test_every_kind_of_number_travels_as_a_number(number: SupportsFloat) -> None:
+    outcome = _parse(messages.encode_twist((number, 1, np.int64(2)), sequence=np.uint8(3)))
+    assert outcome == TwistCommand("teleop", Twist(0.5, 1.0, 2.0), TwistFrame.BODY, 3, 5)
+
+
+def test_a_foreign_number_elsewhere_travels_as_a_number_too() -> None:
+    payload = messages.encode_state(STATUS, 0, {"load": np.float32(0.5), "cores": np.int64(2), "path": Path("/a")})
+    assert json.loads(payload)["extras"] == {"load": 0.5, "cores": 2.0, "path": "/a"}
+
+
+@pytest.mark.parametrize(
+    ("twist", "words"),
+    [
+        ((math.nan, 0, 0), "vx = nan: must be a number from -20 to 20 m/s"),
+        ((0, np.float32("inf"), 0), "vy = inf: must be a number from -20 to 20 m/s"),
+        ((0, 0, -math.inf), "wz = -inf: must be a number from -50 to 50 rad/s"),
+        ((100, 0, 0), "vx = 100.0: must be a number from -20 to 20 m/s"),
+        ((0, 0, 10**400), "wz = inf: must be a number from -50 to 50 rad/s"),
+    ],
+)
+def test_what_no_robot_takes_is_not_sent(twist: tuple[SupportsFloat, SupportsFloat, SupportsFloat], words: str) -> None:
+    with pytest.raises(ValueError, match=f"^{words}$"):
+        messages.encode_twist(twist)
+
+
+@pytest.mark.parametrize("wrong", ["1", None, True, 1j], ids=repr)
+def test_what_is_no_number_is_a_mistake(wrong: Any) -> None:  # noqa: ANN401
+    with pytest.raises(TypeError, match=r"^vy = .*: must be a number from -20 to 20 m/s"):
+        messages.encode_twist((0.0, wrong, 0.0))
+
+
+def test_a_reference_survives_the_wire() -> None:
+    assert messages.parse_reference(messages.encode_reference("platform", np.float32(0.5))) == ("platform", 0.5)
+    assert messages.parse_reference(messages.encode_reference(None, 0)) == (None, 0.0)
+    assert messages.parse_reference(b"{}") == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"", "payload: must be a JSON object in UTF-8"),
+        (b"0.5", "payload: must be a JSON object of motor, angle"),
+        (b'{"angle": 6.4}', "angle = 6.4: must be a number from -6.3 to 6.3 rad"),
+        (b'{"angle": NaN}', "angle = nan: must be a number from -6.3 to 6.3 rad"),
+        (b'{"angle": null}', "angle = None: must be a number from -6.3 to 6.3 rad"),
+        (b'{"motor": "a/b"}', "motor = 'a/b': must be the name of a motor"),
+        (b'{"vx": 0}', "unknown key 'vx': must be a JSON object of motor, angle"),
+        (b" " * 1025, "payload of 1025 bytes"),
+    ],
+)
+def test_a_wrong_reference_is_refused_in_words(payload: bytes, words: str) -> None:
+    refusal = messages.parse_reference(payload)
+    assert isinstance(refusal, str)
+    assert words in refusal
+
+
+def test_a_wrong_reference_is_not_sent() -> None:
+    with pytest.raises(ValueError, match=r"angle = 7\.0: must be a number from -6\.3 to 6\.3 rad"):
+        messages.encode_reference(None, 7)
+    with pytest.raises(ValueError, match="motor = 'A': must be the name of a motor"):
+        messages.encode_reference("A", 0)
 
 
 def test_odometry_on_the_wire() -> None:

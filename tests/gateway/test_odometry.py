@@ -2,6 +2,7 @@
 
 from math import cos, pi, sin
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -68,6 +69,41 @@ def test_covariance_grows_with_the_way_and_not_at_rest() -> None:
     assert 0 < near[8] < far[8]
     assert far[4] > far[0], "across the way the heading error adds up"
     assert far[1] == far[3]
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(0.0, 0.5), st.integers(0, 100)),
+        max_size=12,
+    )
+)
+def test_the_covariance_is_positive_definite_always(drives: list[tuple[float, float, float, float, int]]) -> None:
+    """From the first cycle on: whoever fuses the odometry inverts it."""
+    odometry, positions, now_ns = omni(), [0.0] * 4, 0
+    for vx, vy, wz, residual, steps in drives:
+        rates = OmniKinematics(POSES).wheel_speeds(Twist(vx, vy, wz))
+        for _ in range(steps):
+            now_ns += STEP_NS
+            positions = [position + rate * 0.004 for position, rate in zip(positions, rates, strict=True)]
+            odometry.update(positions, residual=residual, dt=0.004, now_ns=now_ns)
+        covariance = np.array(odometry.read(None, None).covariance).reshape(3, 3)
+        assert (covariance == covariance.T).all()
+        assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    first = np.array(omni().read(None, None).covariance).reshape(3, 3)
+    assert np.linalg.eigvalsh(first)[0] > 0.0
+
+
+def test_the_covariance_is_positive_definite_after_a_long_way() -> None:
+    """10 km straight on: the heading error's lever is at its longest."""
+    odometry = omni()
+    rate = OmniKinematics(POSES).wheel_speeds(Twist(1, 0, 0))
+    for step in range(10_000):
+        odometry.update([one * step for one in rate], residual=None, dt=0.1, now_ns=step * 1_000_000_000)
+        if step % 50 == 0:
+            odometry.read(None, None)
+    covariance = np.array(odometry.read(None, None).covariance).reshape(3, 3)
+    assert odometry.pose.x > 9000.0
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
 def test_covariance_grows_with_what_the_wheels_cannot_explain() -> None:

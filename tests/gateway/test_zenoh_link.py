@@ -1,28 +1,34 @@
 """Two sessions on loopback: what drives, what is refused, what is answered, and what happens at the end."""
 
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event as Flag
 from threading import Thread
 from typing import TypeVar
 
+import numpy as np
 import pytest
 import zenoh
+from zenoh.handlers import Callback
 
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
+from gateway.mailbox import MAX_QUESTIONS
 from gateway.messages import (
     EventMessage,
     OdometryMessage,
     ResetAnswer,
     StateMessage,
     TruthMessage,
+    decode_reply,
     encode_event,
     encode_twist,
 )
@@ -41,7 +47,8 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
-from gateway.zenoh_link import NO_ANSWER, NOT_EXACT, ZenohLink
+from gateway.zenoh_link import NOT_EXACT, ZenohLink
+from gateway.zenoh_questions import NO_ANSWER, TOO_MANY
 from gateway.zenoh_session import LinkError, Receivers, open_session
 from tests.gateway.test_messages import STATUS
 
@@ -139,7 +146,50 @@ def test_a_command_arrives_with_its_arrival_time(loop: Loop, client: Client) -> 
     command = loop.commands[0]
     assert command[:4] == ("teleop", Twist(0.5, -0.25, 0.125), TwistFrame.ODOM, 3)
     assert before_ns < command.received_ns <= time.monotonic_ns()
+    assert command.sender is not None
+    assert not command.stamped, "the first one cannot be judged"
     assert not loop.refusals
+
+
+def test_the_client_stamps_its_commands_and_names_itself(loop: Loop, client: Client, endpoint: str) -> None:
+    for count in (1, 2):
+        client.send_twist(np.float32(0.5), 0, 0, source="teleop")
+        loop.until(lambda count=count: len(loop.commands) == count)  # type: ignore[misc]
+    first, second = loop.commands
+    assert second.stamped
+    assert second.twist == Twist(0.5, 0.0, 0.0)
+    assert second.sender == first.sender
+    with Client("moby", connect=[endpoint]) as other:
+        assert other.wait_alive(TIMEOUT_S)
+        other.send_twist(0.0, 0.0, 0.0, source="autonomy")
+        loop.until(lambda: loop.commands[2:])
+    assert loop.commands[2].sender != first.sender
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), 100.0])
+def test_the_client_says_at_once_what_no_robot_takes(loop: Loop, client: Client, wrong: float) -> None:
+    with pytest.raises(ValueError, match=r"^wz = .*: must be a number from -50 to 50 rad/s$"):
+        client.send_twist(0.0, 0.0, wrong, source="teleop")
+    client.send_twist(0.0, 0.0, 0.0, source="teleop", sequence=np.int64(7))
+    loop.until(lambda: loop.commands)
+    assert [command.sequence for command in loop.commands] == [7]
+    assert not loop.refusals
+
+
+def test_a_second_sender_is_refused_by_name(loop: Loop, client: Client, stranger: zenoh.Session) -> None:
+    client.send_twist(0.0, 0.0, 0.0, source="teleop")
+    loop.until(lambda: loop.commands)
+
+    def refused() -> list[Refusal]:
+        client.send_twist(0.0, 0.0, 0.0, source="teleop")
+        stranger.put("moby/cmd/twist/teleop", TWIST)
+        return loop.refusals
+
+    loop.until(refused)
+    assert loop.refusals[0].code is RefusalCode.SECOND_SENDER
+    sender = loop.commands[0].sender
+    assert f"a sender without a name: sender {sender} holds this source" in loop.refusals[0].text
+    assert {command.sender for command in loop.commands} == {sender}
 
 
 def test_the_client_counts(loop: Loop, client: Client) -> None:
@@ -205,7 +255,7 @@ def test_a_stop_arrives_while_commands_flood(loop: Loop, client: Client, strange
     try:
         loop.until(lambda: loop.commands)
         sent_ns = time.monotonic_ns()
-        assert client.stop()
+        assert not client.stop(timeout=0.0)
         loop.until(lambda: loop.requests)
     finally:
         done.set()
@@ -279,6 +329,7 @@ def test_an_unknown_source_is_refused(loop: Loop, stranger: zenoh.Session, rest:
     refusal = _one_refusal(loop)
     assert refusal.code is RefusalCode.UNKNOWN_SOURCE
     assert refusal.text == f"put on moby/cmd/{rest}: the sources are teleop, autonomy"
+    assert refusal.source == "a stranger", "whatever its key was: what is kept by name must not grow with keys"
 
 
 def test_an_old_sequence_is_refused(loop: Loop, client: Client) -> None:
@@ -304,16 +355,111 @@ def test_a_reset_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
 
 
 def test_a_reset_the_loop_ignores_is_answered_all_the_same(client: Client) -> None:
-    assert client.reset(TIMEOUT_S) == ResetAnswer(False, NO_ANSWER.reason)
+    assert client.reset(TIMEOUT_S) == ResetAnswer(False, NO_ANSWER)
 
 
-def test_looking_around_resets_nothing(loop: Loop, stranger: zenoh.Session) -> None:
-    replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
-    answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
-    assert NOT_EXACT.reason is not None
-    assert NOT_EXACT.reason in answers["moby/cmd/reset"]
+def test_a_reference_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(client.reference, "platform", np.float32(0.5), TIMEOUT_S)
+        loop.until(lambda: loop.requests)
+        request = loop.requests.pop()
+        assert (request.kind, request.motor, request.angle) == (RequestKind.REFERENCE, "platform", 0.5)
+        loop.link.reply(Reply(request.id, False, "the robot moves"))
+        assert asking.result() == ResetAnswer(False, "the robot moves")
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [(None, "payload: must be a JSON object"), (b'{"angle": 7}', "angle = 7: must be a number from -6.3 to 6.3 rad")],
+)
+def test_a_wrong_reference_is_refused_at_once(
+    loop: Loop, stranger: zenoh.Session, payload: bytes | None, words: str
+) -> None:
+    replies = [one.ok for one in stranger.get("moby/cmd/reference", payload=payload, timeout=TIMEOUT_S)]
+    assert [words in one.payload.to_string() for one in replies if one] == [True]
     loop.cycle()
     assert not loop.requests
+
+
+def test_a_crowd_that_asks_is_answered_each(loop: Loop, stranger: zenoh.Session) -> None:
+    """Those in flight by the loop, each with its own words; all others at once that there are too many."""
+    answers = list[ResetAnswer | None]()
+
+    def keep(reply: zenoh.Reply) -> None:
+        answers.append(decode_reply(reply.ok.payload.to_bytes()) if reply.ok else None)
+
+    for _ in range(180):
+        stranger.get("moby/cmd/reset", Callback(keep, indirect=False), timeout=TIMEOUT_S)
+    loop.until(lambda: len(loop.requests) == MAX_QUESTIONS)
+    eventually(lambda: len(answers) == 180 - MAX_QUESTIONS)
+    assert set(answers) == {ResetAnswer(False, TOO_MANY)}
+    for request in reversed(loop.requests):
+        loop.link.reply(Reply(request.id, False, f"reply {request.id}"))
+    eventually(lambda: len(answers) == 180)
+    expected = {ResetAnswer(False, f"reply {number + 1}") for number in range(MAX_QUESTIONS)}
+    assert set(answers[-MAX_QUESTIONS:]) == expected
+
+
+def test_after_the_crowd_there_is_room_again(loop: Loop, client: Client, stranger: zenoh.Session) -> None:
+    for replies in [stranger.get("moby/cmd/reset", timeout=TIMEOUT_S) for _ in range(3 * MAX_QUESTIONS)]:
+        assert [one.ok is not None for one in replies] == [True]
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(client.reset, TIMEOUT_S)
+        loop.until(lambda: [one for one in loop.requests if one.id > MAX_QUESTIONS])
+        for request in loop.requests:  # those of the crowd come too late and find nobody
+            loop.link.reply(Reply(request.id, request.id > MAX_QUESTIONS, None))
+        assert asking.result() == ResetAnswer(True, None)
+
+
+def test_looking_around_asks_for_nothing(loop: Loop, stranger: zenoh.Session) -> None:
+    replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
+    answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
+    for rest in ("cmd/reset", "cmd/reference"):
+        assert NOT_EXACT in answers[f"moby/{rest}"]
+    loop.cycle()
+    assert not loop.requests
+
+
+def test_a_stop_is_confirmed_by_a_state_that_says_so(loop: Loop, client: Client) -> None:
+    def say(mode: Mode) -> None:
+        status = STATUS._replace(mode=mode)
+        loop.link.publish(odometry=None, status=status, events=(), now_ns=0)
+
+    say(Mode.ESTOP)
+    assert client.wait_for_state(lambda state: state.status.mode is Mode.ESTOP, TIMEOUT_S)
+    assert not client.stop(timeout=0.01), "that state was there before the stop"
+    loop.cycle()
+    loop.requests.clear()
+    with ThreadPoolExecutor() as pool:
+        stopping = pool.submit(client.stop, TIMEOUT_S)
+        for _ in range(3):  # put again for as long as the robot says something else
+            loop.until(lambda: loop.requests)
+            loop.requests.clear()
+            say(Mode.DRIVE)
+        say(Mode.ESTOP)
+        assert stopping.result()
+
+
+def test_the_age_of_the_state_is_known(link: ZenohLink, client: Client) -> None:
+    assert client.state_age() == float("inf")
+    before = time.monotonic()
+    link.publish(odometry=None, status=STATUS, events=(), now_ns=0)
+    eventually(client.state)
+    assert 0.0 <= client.state_age() <= time.monotonic() - before
+
+
+def test_connections_that_say_nothing_keep_nobody_out(link: ZenohLink, endpoint: str) -> None:
+    """Zenoh's own bounds admit a hundred of them and wait 10 s for each."""
+    port = int(endpoint.rpartition(":")[2])
+    with ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S / 2))
+            for _ in range(300)
+        ]
+        client = stack.enter_context(Client("moby", connect=[endpoint]))
+        assert client.wait_alive(TIMEOUT_S / 2)
+        assert {one.recv(1) for one in silent} == {b""}, "their places are free again"
+    assert link.drain(0) == ((), (), ())
 
 
 def test_status_and_robot_file_are_answered(link: ZenohLink, client: Client) -> None:

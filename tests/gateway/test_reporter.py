@@ -1,0 +1,54 @@
+"""What is told, and that no flood of strangers takes memory or passes as news."""
+
+from pathlib import Path
+
+from gateway.config import parse
+from gateway.reporter import MAX_KINDS, REPEAT_NS, Reporter
+from gateway.types import Event, Inputs, Mode, Refusal, RefusalCode, Reply
+
+ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy
+
+
+def _reporter() -> Reporter:
+    return Reporter(parse(ROBOT_FILE.read_text(encoding="utf-8"), str(ROBOT_FILE)))
+
+
+def _told(reporter: Reporter, *refusals: Refusal, now_ns: int = 0, replies: tuple[Reply, ...] = ()) -> list[Event]:
+    inputs = Inputs(0, now_ns, refusals=refusals)
+    return list(reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=replies))
+
+
+def _refusal(source: str, code: RefusalCode = RefusalCode.UNKNOWN_SOURCE) -> Refusal:
+    return Refusal(source, code, "no", 0)
+
+
+def test_strangers_are_one_however_they_call_themselves() -> None:
+    reporter = _reporter()
+    flood = [_refusal(f"stranger{number}") for number in range(1000)]
+    assert [event.text for event in _told(reporter, *flood)] == ["stranger0: no"]
+    late = _told(reporter, _refusal("another"), now_ns=REPEAT_NS)
+    assert [event.text for event in late] == ["another: no (1000 times)"]
+    assert reporter.refused == 1001
+
+
+def test_sources_of_the_robot_file_and_reasons_are_told_apart() -> None:
+    refusals = [_refusal(source, code) for source in ("teleop", "autonomy", "ghost") for code in RefusalCode]
+    assert len(_told(_reporter(), *refusals)) == len(refusals)
+
+
+def test_the_number_of_kinds_is_bounded() -> None:
+    reporter = _reporter()
+    replies = tuple(Reply(number, False, f"reason {number}") for number in range(2 * MAX_KINDS))
+    assert len(_told(reporter, replies=replies)) == MAX_KINDS + 1
+    assert len(reporter._throttle._seen) == MAX_KINDS + 1
+
+
+def test_a_crowd_that_asks_for_a_reset_is_told_once() -> None:
+    reporter = _reporter()
+    granted = tuple(Reply(number, True, None) for number in range(16))
+    assert [event.code for event in _told(reporter, replies=granted)] == ["reset"]
+    refused = tuple(Reply(number, False, "the robot still moves") for number in range(16))
+    assert [(event.code, event.text) for event in _told(reporter, replies=refused)] == [
+        ("reset_refused", "the robot still moves")
+    ]
+    assert _told(reporter, replies=refused, now_ns=1) == []
