@@ -5,6 +5,7 @@ Whatever names no motor or bus concerns all of them. A fault with `seconds` ends
 
 from collections.abc import Callable, Sequence
 from enum import Enum
+from math import inf
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
@@ -34,6 +35,7 @@ class FaultKind(Enum):
     FRAMES_DELAYED = "frames_delayed"
     PUSH = "push"
     SLOPE = "slope"
+    FRICTION = "friction"
     MASS = "mass"
     LOOP_PAUSE = "loop_pause"
     CLEAR = "clear"
@@ -180,6 +182,14 @@ def _level(broken: Broken) -> None:
     broken.world.robot.dynamics.slope = 0.0
 
 
+def _ground(broken: Broken) -> None:
+    broken.world.robot.set_friction(broken.name, broken.value)
+
+
+def _good_ground(broken: Broken) -> None:
+    broken.world.robot.set_friction(broken.name, inf)
+
+
 def _load(broken: Broken) -> None:
     broken.world.robot.set_mass(broken.value)
 
@@ -228,6 +238,7 @@ RULES: dict[FaultKind, Rule] = {
         Target.WORLD, _push, _push_none, Range(-1e5, 1e5, "N along world x, -100000 to 100000"), timed=True
     ),
     FaultKind.SLOPE: Rule(Target.WORLD, _tilt, _level, Range(-0.7, 0.7, "rad, rising along world x, -0.7 to 0.7")),
+    FaultKind.FRICTION: Rule(Target.WHEEL, _ground, _good_ground, Range(0.0, 10.0, "a friction coefficient, 0 to 10")),
     FaultKind.MASS: Rule(Target.WORLD, _load, _unload, Range(0.1, 5000.0, "kg in total, 0.1 to 5000")),
     FaultKind.LOOP_PAUSE: Rule(Target.LOOP, _nothing, timed=True),
     FaultKind.CLEAR: Rule(Target.MOTOR, _mend),

@@ -191,7 +191,9 @@ def _unknown(key: str, at: At, config: RobotConfig) -> Iterator[str]:
     if at.fault is None:
         return
     rule = RULES[at.fault.kind]
-    motors = config.robot.motor_names() if rule.target is Target.MOTOR else wheels(config)
+    if rule.target is Target.WHEEL and not config.robot.body.joint_inertia > 0.0:
+        yield f"{key}.fault.kind = {at.fault.kind.value!r}: needs robot.body.joint_inertia above 0 in the robot file"
+    motors = wheels(config) if rule.target is Target.WHEEL else config.robot.motor_names()
     buses = [bus.name for bus in config.bus]
     if at.fault.motor is not None and at.fault.motor not in motors:
         yield _no_such(f"{key}.fault.motor", at.fault.motor, motors)

@@ -10,11 +10,17 @@ through the transposed rows, and rotor inertia J and friction b of the joints ap
 `gyroscopic` does no work (u . gyroscopic(u) = 0), hence energy is kept without torque and friction. Integrated with
 the explicit midpoint rule in fixed substeps of plain floats, bit-equal on every run: at the speeds of these robots the
 energy drifts by less than 1e-7 per second, and by 3e-6 in a spin of 4 rad/s that swings into a straight line.
+
+Where the ground is slippery (`set_friction`), a wheel grips as long as the traction that holds it to its row is within
+mu times its load; beyond, it slips: it turns with a speed of its own, its joint inertia leaves the mass matrix, and the
+ground gives mu times load against the slip. When the slip passes through zero the wheel grips again, as in a plastic
+impact: momentum is kept, energy is not made (to 1e-5 of it, from the substep in which the slip ends). Only rolling
+traction can fail: an axle does not slide sideways.
 Geometry is derived here from the robot file, independently of `gateway.kinematics`.
 """
 
-from collections.abc import Callable, Sequence
-from math import cos, sin, tanh
+from collections.abc import Callable, Mapping, Sequence
+from math import cos, isinf, sin, tanh
 from operator import mul
 from typing import Any, NamedTuple
 
@@ -37,6 +43,7 @@ class Chassis(NamedTuple):
     body: Body
     rows: tuple[Vector, ...]  # joint rates = rows @ u
     wheel_radii: tuple[float | None, ...]  # m, per joint; None: drives no wheel
+    load_shares: tuple[float, ...]  # of the weight, per joint
     mass: tuple[Vector, Vector, Vector]  # without joints
     across: float  # m/s of the centre of mass across the chassis per unit of u[1]; along it, u[0] is the speed itself
     gyroscopic: Callable[[Vector], Vector]
@@ -57,6 +64,7 @@ def omni(robot: OmniRobot) -> Chassis:
         body=robot.body,
         rows=tuple(rows),
         wheel_radii=tuple(wheel.radius for wheel in robot.wheel),
+        load_shares=(1.0 / len(robot.wheel),) * len(robot.wheel),
         mass=((mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, inertia)),
         across=1.0,
         gyroscopic=lambda u: (mass * u[2] * u[1], -mass * u[2] * u[0], 0.0),
@@ -68,11 +76,14 @@ def omni(robot: OmniRobot) -> Chassis:
 def offset_differential(robot: OffsetDifferentialRobot) -> Chassis:
     """u = (speed of the joint along the chassis, chassis rate, platform rate); the whole mass sits at the joint.
 
+    Its weight is carried by the axle behind it and the caster before it, the nearer the more; swivelling changes that
+    little and is left out.
     The joint moves with (u0, d1 u1) in chassis axes, so it accelerates with (u0' - d1 u1^2, d1 u1' + u0 u1).
     """
     mass, offset, radius = robot.body.mass, robot.axle_offset, robot.wheel_radius
     lever = robot.track / 2.0
     coupling = mass * offset
+    carried = 1.0 if robot.caster is None else robot.caster.position / (robot.caster.position + offset)
 
     def body_twist(u: Vector, angles: Sequence[float]) -> Twist:
         along, across = u[0], offset * u[1]
@@ -83,6 +94,7 @@ def offset_differential(robot: OffsetDifferentialRobot) -> Chassis:
         body=robot.body,
         rows=((1.0 / radius, -lever / radius, 0.0), (1.0 / radius, lever / radius, 0.0), (0.0, -1.0, 1.0)),
         wheel_radii=(radius, radius, None),
+        load_shares=(carried / 2.0, carried / 2.0, 0.0),
         mass=(
             (mass, 0.0, 0.0),
             (0.0, robot.chassis_inertia + coupling * offset, 0.0),
@@ -98,6 +110,16 @@ def offset_differential(robot: OffsetDifferentialRobot) -> Chassis:
 CHASSIS: dict[str, Callable[[Any], Chassis]] = {"omni": omni, "offset_differential": offset_differential}
 
 
+class _Matrices(NamedTuple):
+    """The equation of motion while some wheels grip: the others' inertia and friction are not in it."""
+
+    mass: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    mobility: tuple[tuple[float, ...], ...]
+    torque_rows: tuple[tuple[float, ...], ...]
+    damping: tuple[tuple[float, ...], ...]
+
+
 class Dynamics:
     """Moving state of one robot: quasi-velocities, joint angles and rates, pose. The writer is `step`."""
 
@@ -108,26 +130,12 @@ class Dynamics:
         self.pose = _ORIGIN
         self.angles = tuple(0.0 for _ in chassis.rows)
         self._force = self.external
+        self._friction: dict[int, float] = {}  # mu of the wheels whose ground is slippery
+        self._slips: dict[int, float] = {}  # of the slipping wheels: +1 it turns too fast, -1 too slowly
+        self._spins: dict[int, float] = {}  # rad/s of the slipping wheels
         self._build(chassis)
         self.reflected_inertia = tuple(self._reflected(row) for row in chassis.rows)  # per joint, others free
         self.set_velocity((0.0, 0.0, 0.0))
-
-    def _build(self, chassis: Chassis) -> None:
-        rows = np.array(chassis.rows)
-        mass = np.array(chassis.mass) + chassis.body.joint_inertia * rows.T @ rows
-        inverse = np.linalg.inv(mass)
-        self._chassis = chassis
-        self._rows = chassis.rows
-        self._mass = mass
-        self._inverse = inverse
-        self._mobility = _rows(inverse)
-        self._torque_rows = _rows(inverse @ rows.T)
-        self._damping = _rows(-chassis.body.joint_friction * inverse @ rows.T @ rows)
-        self._gyroscopic = chassis.gyroscopic
-
-    def _reflected(self, row: Vector) -> float:
-        joint = np.array(row)
-        return 1.0 / float(joint @ self._inverse @ joint)
 
     @property
     def velocity(self) -> Vector:
@@ -147,40 +155,85 @@ class Dynamics:
     def energy(self) -> float:
         """Kinetic energy, joints included."""
         u = np.array(self._velocity)
-        return float(u @ self._mass @ u) / 2.0
+        spinning = self._chassis.body.joint_inertia * sum(rate * rate for rate in self._spins.values())
+        return float(u @ self._mass @ u + spinning) / 2.0
+
+    @property
+    def slipping(self) -> tuple[int, ...]:
+        """Joints whose wheels slip."""
+        return tuple(sorted(self._slips))
 
     def set_velocity(self, velocity: Vector) -> None:
-        """Start an experiment in motion."""
+        """Start an experiment in motion; wheels that slip keep their speed."""
         self._velocity = velocity
         self.rates = self._joint_rates(velocity)
+
+    def can_slip(self, joint: int) -> bool:
+        """Whether the joint drives a wheel that has an inertia of its own."""
+        return self._chassis.wheel_radii[joint] is not None and self._chassis.body.joint_inertia > 0.0
+
+    def set_friction(self, joint: int, friction: float) -> None:
+        """Coefficient of friction under a wheel; infinite: it never slips, and grips at once if it does."""
+        if not self.can_slip(joint):
+            raise ValueError(f"joint {joint}: only a wheel with inertia can slip")
+        if isinf(friction):
+            self._friction.pop(joint, None)
+            self._grip([joint] if joint in self._slips else [])
+        else:
+            self._friction[joint] = friction
 
     def load(self, chassis: Chassis) -> None:
         """Another mass from now on: a load put on was at rest before, a load taken off keeps its own momentum."""
         before = self._mass
         self._build(chassis)
         if np.trace(self._mass) > np.trace(before):
-            a, b, c = (self._inverse @ before @ np.array(self._velocity)).tolist()
-            self.set_velocity((a, b, c))
+            self.set_velocity(_vector(self._inverse @ before @ np.array(self._velocity)))
 
     def step(self, torques: Sequence[float]) -> None:
         """One substep under constant joint torques."""
         self._force = self._outer_force() if self.push or self.slope else self.external
+        torques = self._less_drag(torques)
+        if self._friction:
+            self._step_on_slippery_ground(torques)
+            return
         half = STEP_S / 2.0
-        drive = tuple(sum(map(mul, row, self._less_drag(torques))) for row in self._torque_rows)
+        drive = tuple(sum(map(mul, row, torques)) for row in self._torque_rows)
         a, b, c = self._velocity
         da, db, dc = self._acceleration((a, b, c), drive)
         middle = (a + half * da, b + half * db, c + half * dc)
         da, db, dc = self._acceleration(middle, drive)
-        self._move(middle)
+        self._move(middle, self._joint_rates(middle))
         self.set_velocity((a + STEP_S * da, b + STEP_S * db, c + STEP_S * dc))
+
+    # the equation of motion
+
+    def _build(self, chassis: Chassis) -> None:
+        self._chassis = chassis
+        self._rows = chassis.rows
+        self._gyroscopic = chassis.gyroscopic
+        self._known: dict[tuple[int, ...], _Matrices] = {}
+        self._choose()
+
+    def _choose(self) -> None:
+        """Take the matrices for the wheels that slip now."""
+        slipping = self.slipping
+        if slipping not in self._known:
+            self._known[slipping] = _matrices(self._chassis, slipping)
+        self._mass, self._inverse, self._mobility, self._torque_rows, self._damping = self._known[slipping]
+
+    def _reflected(self, row: Vector) -> float:
+        joint = np.array(row)
+        return 1.0 / float(joint @ self._inverse @ joint)
 
     def _outer_force(self) -> Vector:
         """Push and weight along world x, seen from the chassis."""
-        mass = self._chassis.mass[0][0]
-        force = self.push - mass * GRAVITY * sin(self.slope)
+        force = self.push - self._total_mass() * GRAVITY * sin(self.slope)
         ea, eb, ec = self.external
         angle = self.chassis_angle
         return ea + force * cos(angle), eb - force * sin(angle) * self._chassis.across, ec
+
+    def _total_mass(self) -> float:
+        return self._chassis.mass[0][0]
 
     def _less_drag(self, torques: Sequence[float]) -> Sequence[float]:
         drag = self._chassis.body.joint_drag
@@ -201,9 +254,8 @@ class Dynamics:
             drive[2] + d31 * a + d32 * b + d33 * c + m31 * ga + m32 * gb + m33 * gc,
         )
 
-    def _move(self, middle: Vector) -> None:
+    def _move(self, middle: Vector, rates: Sequence[float]) -> None:
         """Advance angles and pose with the velocity of mid-step, in the heading of mid-step."""
-        rates = self._joint_rates(middle)
         halfway = [angle + STEP_S / 2.0 * rate for angle, rate in zip(self.angles, rates, strict=True)]
         vx, vy, wz = self._chassis.body_twist(middle, halfway)
         x, y, theta = self.pose
@@ -214,7 +266,110 @@ class Dynamics:
 
     def _joint_rates(self, u: Vector) -> tuple[float, ...]:
         a, b, c = u
-        return tuple([row_a * a + row_b * b + row_c * c for row_a, row_b, row_c in self._rows])
+        rates = tuple([row_a * a + row_b * b + row_c * c for row_a, row_b, row_c in self._rows])
+        if not self._spins:
+            return rates
+        return tuple(self._spins.get(joint, rate) for joint, rate in enumerate(rates))
+
+    # wheels that may slip
+
+    def _step_on_slippery_ground(self, torques: Sequence[float]) -> None:
+        limits = self._limits()
+        self._let_go(torques, limits)
+        body, inertia, half = self._chassis.body, self._chassis.body.joint_inertia, STEP_S / 2.0
+        traction = {joint: sign * limits[joint] for joint, sign in self._slips.items()}
+        drive = self._drive([traction.get(joint, torque) for joint, torque in enumerate(torques)])
+        a, b, c = self._velocity
+        da, db, dc = self._acceleration((a, b, c), drive)
+        middle = (a + half * da, b + half * db, c + half * dc)
+        before, mid_spins, spins = self._spins, {}, {}
+        for joint, rate in before.items():
+            spare = torques[joint] - traction[joint]
+            mid_spins[joint] = rate + half * (spare - body.joint_friction * rate) / inertia
+            spins[joint] = rate + STEP_S * (spare - body.joint_friction * mid_spins[joint]) / inertia
+        da, db, dc = self._acceleration(middle, drive)
+        self._spins = mid_spins
+        self._move(middle, self._joint_rates(middle))
+        self._spins = spins
+        self.set_velocity((a + STEP_S * da, b + STEP_S * db, c + STEP_S * dc))
+        self._grip(
+            [joint for joint, sign in self._slips.items() if limits[joint] > 0.0 and self._caught_up(joint, sign)]
+        )
+
+    def _limits(self) -> dict[int, float]:
+        """Torque that the ground takes from each wheel whose ground is slippery, N m."""
+        weight = self._total_mass() * GRAVITY * cos(self.slope)
+        chassis = self._chassis
+        return {
+            joint: friction * weight * chassis.load_shares[joint] * (chassis.wheel_radii[joint] or 0.0)
+            for joint, friction in self._friction.items()
+        }
+
+    def _let_go(self, torques: Sequence[float], limits: Mapping[int, float]) -> None:
+        """Gripping wheels that ask more of the ground than it gives begin to slip, the worst one first."""
+        for _ in range(len(limits) - len(self._slips)):
+            asked = self._asked_of_the_ground(torques, limits)
+            worst = max(asked, key=lambda joint: abs(asked[joint]) - limits[joint])
+            if abs(asked[worst]) <= limits[worst]:
+                return
+            self._slips[worst] = 1.0 if asked[worst] > 0.0 else -1.0
+            self._spins[worst] = self.rates[worst]
+            self._choose()
+
+    def _asked_of_the_ground(self, torques: Sequence[float], limits: Mapping[int, float]) -> dict[int, float]:
+        """Torque that each gripping wheel on slippery ground must get from it to keep to its row, N m."""
+        body = self._chassis.body
+        slips = self._slips
+        drive = self._drive(
+            [slips[joint] * limits[joint] if joint in slips else torque for joint, torque in enumerate(torques)]
+        )
+        a, b, c = self._acceleration(self._velocity, drive)
+        asked = {}
+        for joint in limits:
+            if joint in slips:
+                continue
+            row_a, row_b, row_c = self._rows[joint]
+            turning = body.joint_inertia * (row_a * a + row_b * b + row_c * c)
+            asked[joint] = torques[joint] - body.joint_friction * self.rates[joint] - turning
+        return asked
+
+    def _drive(self, torques: Sequence[float]) -> tuple[float, ...]:
+        return tuple(sum(map(mul, row, torques)) for row in self._torque_rows)
+
+    def _caught_up(self, joint: int, sign: float) -> bool:
+        a, b, c = self._velocity
+        row_a, row_b, row_c = self._rows[joint]
+        return (self._spins[joint] - (row_a * a + row_b * b + row_c * c)) * sign <= 0.0
+
+    def _grip(self, joints: Sequence[int]) -> None:
+        """Slipping wheels are held to their rows again; the momentum of wheel and body stays what it was together."""
+        if not joints:
+            return
+        momentum = self._mass @ np.array(self._velocity)
+        for joint in joints:
+            momentum += self._chassis.body.joint_inertia * self._spins.pop(joint) * np.array(self._rows[joint])
+            del self._slips[joint]
+        self._choose()
+        self.set_velocity(_vector(self._inverse @ momentum))
+
+
+def _matrices(chassis: Chassis, slipping: Sequence[int]) -> _Matrices:
+    rows = np.array(chassis.rows)
+    gripping = np.array([row for joint, row in enumerate(chassis.rows) if joint not in slipping]).reshape(-1, 3)
+    mass = np.array(chassis.mass) + chassis.body.joint_inertia * gripping.T @ gripping
+    inverse = np.linalg.inv(mass)
+    return _Matrices(
+        mass=mass,
+        inverse=inverse,
+        mobility=_rows(inverse),
+        torque_rows=_rows(inverse @ rows.T),
+        damping=_rows(-chassis.body.joint_friction * inverse @ gripping.T @ gripping),
+    )
+
+
+def _vector(array: NDArray[np.float64]) -> Vector:
+    a, b, c = array.tolist()
+    return a, b, c
 
 
 def _rows(matrix: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
