@@ -11,15 +11,14 @@ through the transposed rows, and rotor inertia J and friction b of the joints ap
 the explicit midpoint rule in fixed substeps of plain floats, bit-equal on every run: at the speeds of these robots the
 energy drifts by less than 1e-7 per second, and by 3e-6 in a spin of 4 rad/s that swings into a straight line.
 
-Where the ground is slippery (`set_friction`), a wheel grips as long as the traction that holds it to its row is within
-mu times its load; beyond, it slips: it turns with a speed of its own, its joint inertia leaves the mass matrix, and the
-ground gives mu times load against the slip. When the slip passes through zero the wheel grips again, as in a plastic
-impact: momentum is kept, energy is not made (to 1e-5 of it, from the substep in which the slip ends). Only rolling
-traction can fail: an axle does not slide sideways.
+Where the ground is slippery (`set_friction`), a wheel has a speed of its own and the ground gives it a traction within
+mu times its load: as much as it takes to end the substep without slip, or all there is against the slip. That keeps
+momentum, bounds every force exactly, and makes no energy but the 1e-5 of it that a substep in which slip ends may err
+by. Only rolling traction can fail: an axle does not slide sideways.
 Geometry is derived here from the robot file, independently of `gateway.kinematics`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from math import cos, isinf, sin, tanh
 from operator import mul
 from typing import Any, NamedTuple
@@ -34,6 +33,9 @@ from replay.sim.device import STEP_S
 Vector = tuple[float, float, float]
 _DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
 GRAVITY = 9.81  # m/s^2
+_NO_SLIP = 1e-6  # rad/s
+_SAME_TORQUE = 1e-9  # N m by which traction may still change when it is settled
+_MAX_ROUNDS = 30
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
@@ -111,7 +113,7 @@ CHASSIS: dict[str, Callable[[Any], Chassis]] = {"omni": omni, "offset_differenti
 
 
 class _Matrices(NamedTuple):
-    """The equation of motion while some wheels grip: the others' inertia and friction are not in it."""
+    """The equation of motion of the body with the joints that are held to it; a free wheel's inertia is its own."""
 
     mass: NDArray[np.float64]
     inverse: NDArray[np.float64]
@@ -130,9 +132,9 @@ class Dynamics:
         self.pose = _ORIGIN
         self.angles = tuple(0.0 for _ in chassis.rows)
         self._force = self.external
-        self._friction: dict[int, float] = {}  # mu of the wheels whose ground is slippery
-        self._slips: dict[int, float] = {}  # of the slipping wheels: +1 it turns too fast, -1 too slowly
-        self._spins: dict[int, float] = {}  # rad/s of the slipping wheels
+        self._friction: dict[int, float] = {}  # mu of the wheels on slippery ground
+        self._spins: dict[int, float] = {}  # rad/s of these
+        self._traction: dict[int, float] = {}  # N m that the ground gave these in the last substep
         self._build(chassis)
         self.reflected_inertia = tuple(self._reflected(row) for row in chassis.rows)  # per joint, others free
         self.set_velocity((0.0, 0.0, 0.0))
@@ -161,10 +163,10 @@ class Dynamics:
     @property
     def slipping(self) -> tuple[int, ...]:
         """Joints whose wheels slip."""
-        return tuple(sorted(self._slips))
+        return tuple(sorted(joint for joint in self._spins if abs(self._slip(joint, self._velocity)) > _NO_SLIP))
 
     def set_velocity(self, velocity: Vector) -> None:
-        """Start an experiment in motion; wheels that slip keep their speed."""
+        """Start an experiment in motion; wheels on slippery ground keep their speed."""
         self._velocity = velocity
         self.rates = self._joint_rates(velocity)
 
@@ -178,9 +180,14 @@ class Dynamics:
             raise ValueError(f"joint {joint}: only a wheel with inertia can slip")
         if isinf(friction):
             self._friction.pop(joint, None)
-            self._grip([joint] if joint in self._slips else [])
-        else:
-            self._friction[joint] = friction
+            if joint in self._spins:
+                self._grip(joint)
+            return
+        self._friction[joint] = friction
+        self._traction.setdefault(joint, 0.0)
+        if joint not in self._spins:
+            self._spins[joint] = self.rates[joint]
+            self._choose()
 
     def load(self, chassis: Chassis) -> None:
         """Another mass from now on: a load put on was at rest before, a load taken off keeps its own momentum."""
@@ -211,15 +218,12 @@ class Dynamics:
         self._chassis = chassis
         self._rows = chassis.rows
         self._gyroscopic = chassis.gyroscopic
-        self._known: dict[tuple[int, ...], _Matrices] = {}
         self._choose()
 
     def _choose(self) -> None:
-        """Take the matrices for the wheels that slip now."""
-        slipping = self.slipping
-        if slipping not in self._known:
-            self._known[slipping] = _matrices(self._chassis, slipping)
-        self._mass, self._inverse, self._mobility, self._torque_rows, self._damping = self._known[slipping]
+        """The matrices for the wheels that are held to their rows now."""
+        matrices = _matrices(self._chassis, self._spins)
+        self._mass, self._inverse, self._mobility, self._torque_rows, self._damping = matrices
 
     def _reflected(self, row: Vector) -> float:
         joint = np.array(row)
@@ -271,33 +275,55 @@ class Dynamics:
             return rates
         return tuple(self._spins.get(joint, rate) for joint, rate in enumerate(rates))
 
-    # wheels that may slip
+    # wheels on slippery ground
 
     def _step_on_slippery_ground(self, torques: Sequence[float]) -> None:
-        limits = self._limits()
-        self._let_go(torques, limits)
-        body, inertia, half = self._chassis.body, self._chassis.body.joint_inertia, STEP_S / 2.0
-        traction = {joint: sign * limits[joint] for joint, sign in self._slips.items()}
-        drive = self._drive([traction.get(joint, torque) for joint, torque in enumerate(torques)])
-        a, b, c = self._velocity
-        da, db, dc = self._acceleration((a, b, c), drive)
-        middle = (a + half * da, b + half * db, c + half * dc)
-        before, mid_spins, spins = self._spins, {}, {}
-        for joint, rate in before.items():
-            spare = torques[joint] - traction[joint]
-            mid_spins[joint] = rate + half * (spare - body.joint_friction * rate) / inertia
-            spins[joint] = rate + STEP_S * (spare - body.joint_friction * mid_spins[joint]) / inertia
-        da, db, dc = self._acceleration(middle, drive)
-        self._spins = mid_spins
-        self._move(middle, self._joint_rates(middle))
+        half, body = STEP_S / 2.0, self._chassis.body
+        before, given = self._velocity, dict(self._traction)
+        drive = self._drive([given.get(joint, torque) for joint, torque in enumerate(torques)])
+        velocity = _after(before, self._acceleration(before, drive), half)
+        velocity = _after(before, self._acceleration(velocity, drive), STEP_S)
+        spins = {}
+        for joint, rate in self._spins.items():
+            spare = torques[joint] - given[joint]
+            middle = rate + half * (spare - body.joint_friction * rate) / body.joint_inertia
+            spins[joint] = rate + STEP_S * (spare - body.joint_friction * middle) / body.joint_inertia
+        velocity = self._give_traction(velocity, spins)
+        a, b, c = before
+        new_a, new_b, new_c = velocity
+        self._spins = {joint: (rate + spins[joint]) / 2.0 for joint, rate in self._spins.items()}
+        middle_velocity = ((a + new_a) / 2.0, (b + new_b) / 2.0, (c + new_c) / 2.0)
+        self._move(middle_velocity, self._joint_rates(middle_velocity))
         self._spins = spins
-        self.set_velocity((a + STEP_S * da, b + STEP_S * db, c + STEP_S * dc))
-        self._grip(
-            [joint for joint, sign in self._slips.items() if limits[joint] > 0.0 and self._caught_up(joint, sign)]
-        )
+        self.set_velocity(velocity)
+
+    def _give_traction(self, velocity: Vector, spins: dict[int, float]) -> Vector:
+        """Correct the traction of this substep, and with it the speeds, wheel by wheel until nothing changes.
+
+        A wheel's inertia is small against what it drives, so that a few rounds are enough.
+        """
+        inertia = self._chassis.body.joint_inertia
+        limits = self._limits()
+        for _ in range(_MAX_ROUNDS):
+            largest = 0.0
+            for joint, limit in limits.items():
+                reach = tuple(row[joint] for row in self._torque_rows)  # of du/dt per N m
+                row_a, row_b, row_c = self._rows[joint]
+                a, b, c = velocity
+                slip = spins[joint] - (row_a * a + row_b * b + row_c * c)
+                yielding = 1.0 / inertia + row_a * reach[0] + row_b * reach[1] + row_c * reach[2]
+                wanted = self._traction[joint] + slip / (STEP_S * yielding)
+                change = max(-limit, min(limit, wanted)) - self._traction[joint]
+                self._traction[joint] += change
+                spins[joint] -= STEP_S * change / inertia
+                velocity = _after(velocity, reach, STEP_S * change)
+                largest = max(largest, abs(change))
+            if largest <= _SAME_TORQUE:
+                break
+        return velocity
 
     def _limits(self) -> dict[int, float]:
-        """Torque that the ground takes from each wheel whose ground is slippery, N m."""
+        """Torque that the ground takes from each wheel on slippery ground, N m."""
         weight = self._total_mass() * GRAVITY * cos(self.slope)
         chassis = self._chassis
         return {
@@ -305,57 +331,33 @@ class Dynamics:
             for joint, friction in self._friction.items()
         }
 
-    def _let_go(self, torques: Sequence[float], limits: Mapping[int, float]) -> None:
-        """Gripping wheels that ask more of the ground than it gives begin to slip, the worst one first."""
-        for _ in range(len(limits) - len(self._slips)):
-            asked = self._asked_of_the_ground(torques, limits)
-            worst = max(asked, key=lambda joint: abs(asked[joint]) - limits[joint])
-            if abs(asked[worst]) <= limits[worst]:
-                return
-            self._slips[worst] = 1.0 if asked[worst] > 0.0 else -1.0
-            self._spins[worst] = self.rates[worst]
-            self._choose()
-
-    def _asked_of_the_ground(self, torques: Sequence[float], limits: Mapping[int, float]) -> dict[int, float]:
-        """Torque that each gripping wheel on slippery ground must get from it to keep to its row, N m."""
-        body = self._chassis.body
-        slips = self._slips
-        drive = self._drive(
-            [slips[joint] * limits[joint] if joint in slips else torque for joint, torque in enumerate(torques)]
-        )
-        a, b, c = self._acceleration(self._velocity, drive)
-        asked = {}
-        for joint in limits:
-            if joint in slips:
-                continue
-            row_a, row_b, row_c = self._rows[joint]
-            turning = body.joint_inertia * (row_a * a + row_b * b + row_c * c)
-            asked[joint] = torques[joint] - body.joint_friction * self.rates[joint] - turning
-        return asked
-
     def _drive(self, torques: Sequence[float]) -> tuple[float, ...]:
         return tuple(sum(map(mul, row, torques)) for row in self._torque_rows)
 
-    def _caught_up(self, joint: int, sign: float) -> bool:
-        a, b, c = self._velocity
+    def _slip(self, joint: int, velocity: Vector) -> float:
+        a, b, c = velocity
         row_a, row_b, row_c = self._rows[joint]
-        return (self._spins[joint] - (row_a * a + row_b * b + row_c * c)) * sign <= 0.0
+        return self._spins[joint] - (row_a * a + row_b * b + row_c * c)
 
-    def _grip(self, joints: Sequence[int]) -> None:
-        """Slipping wheels are held to their rows again; the momentum of wheel and body stays what it was together."""
-        if not joints:
-            return
-        momentum = self._mass @ np.array(self._velocity)
-        for joint in joints:
-            momentum += self._chassis.body.joint_inertia * self._spins.pop(joint) * np.array(self._rows[joint])
-            del self._slips[joint]
+    def _grip(self, joint: int) -> None:
+        """The wheel is held to its row again, as in a plastic impact: wheel and body keep their momentum together."""
+        inertia = self._chassis.body.joint_inertia
+        momentum = self._mass @ np.array(self._velocity) + inertia * self._spins.pop(joint) * np.array(
+            self._rows[joint]
+        )
+        self._traction.pop(joint)
         self._choose()
         self.set_velocity(_vector(self._inverse @ momentum))
 
 
-def _matrices(chassis: Chassis, slipping: Sequence[int]) -> _Matrices:
+def _after(velocity: Vector, rate: Sequence[float], seconds: float) -> Vector:
+    a, b, c = velocity
+    return a + seconds * rate[0], b + seconds * rate[1], c + seconds * rate[2]
+
+
+def _matrices(chassis: Chassis, free: Container[int]) -> _Matrices:
     rows = np.array(chassis.rows)
-    gripping = np.array([row for joint, row in enumerate(chassis.rows) if joint not in slipping]).reshape(-1, 3)
+    gripping = np.array([row for joint, row in enumerate(chassis.rows) if joint not in free]).reshape(-1, 3)
     mass = np.array(chassis.mass) + chassis.body.joint_inertia * gripping.T @ gripping
     inverse = np.linalg.inv(mass)
     return _Matrices(

@@ -137,7 +137,8 @@ class SimulatedRobot:
         """A second controller that was given the same id; its shaft stands still, so many rad away at the output."""
         place = self._places[motor]
         shaft = Shaft(self._shafts()[place].position + angle * self._joints[place].scale, 0.0)
-        twin = CONTROLLERS[self._drivers[place]](self.devices[motor].setup)
+        # It has been on for long: its reading is not that of a moment ago, whatever its encoder.
+        twin = CONTROLLERS[self._drivers[place]](self.devices[motor].setup._replace(absolute=True))
         twin.start(shaft, self._time())
         self._twins[motor] = (twin, shaft)
         return twin
