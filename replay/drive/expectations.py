@@ -28,7 +28,7 @@ class Watcher:
 
     def watch(self, moment: Moment) -> None:
         """One cycle."""
-        if not self._start <= moment.t <= self._end:
+        if not self._start <= moment.t < self._end:
             return
         self._seen += 1
         if self._holds(moment):

@@ -60,12 +60,16 @@ class Range(NamedTuple):
 
 
 class Broken(NamedTuple):
-    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable."""
+    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable.
+
+    `lasting`: its end is planned.
+    """
 
     world: SimulatedBus
     name: str
-    value: float
-    seed: int
+    value: float = 0.0
+    seed: int = 0
+    lasting: bool = False
 
 
 Change = Callable[[Broken], object]
@@ -92,7 +96,8 @@ def _power_on(broken: Broken) -> None:
 
 def _power_cycle(broken: Broken) -> None:
     _power_off(broken)
-    _power_on(broken)
+    if not broken.lasting:
+        _power_on(broken)
 
 
 def _unplug(broken: Broken) -> None:
@@ -217,7 +222,7 @@ _FRACTION = Range(0.0, 1.0, "a fraction, 0 to 1")
 RULES: dict[FaultKind, Rule] = {
     FaultKind.POWER_OFF: Rule(Target.MOTOR, _power_off, _power_on),
     FaultKind.POWER_ON: Rule(Target.MOTOR, _power_on),
-    FaultKind.POWER_CYCLE: Rule(Target.MOTOR, _power_cycle),
+    FaultKind.POWER_CYCLE: Rule(Target.MOTOR, _power_cycle, _power_on),
     FaultKind.CABLE_OUT: Rule(Target.MOTOR, _unplug, _plug),
     FaultKind.CABLE_IN: Rule(Target.MOTOR, _plug),
     FaultKind.ENCODER_FROZEN: Rule(Target.MOTOR, _freeze, _thaw),
@@ -245,30 +250,34 @@ RULES: dict[FaultKind, Rule] = {
 }
 
 
-def begin(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int) -> None:
+def begin(
+    kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int, lasting: bool
+) -> None:
     """Break it, for each of these motors or buses."""
     rule = RULES[kind]
-    amount = value if value is not None else rule.default or 0.0
     for name in names:
-        rule.begin(Broken(world, name, amount, seed))
+        rule.begin(Broken(world, name, _amount(rule, value), seed, lasting))
 
 
 def end(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None) -> None:
     """Its end by itself."""
     rule = RULES[kind]
-    amount = value if value is not None else rule.default or 0.0
     for name in names:
         if rule.end is not None:
-            rule.end(Broken(world, name, amount, 0))
+            rule.end(Broken(world, name, _amount(rule, value)))
+
+
+def _amount(rule: Rule, value: float | None) -> float:
+    return value if value is not None else rule.default or 0.0
 
 
 def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
     """What `clear` undoes besides the motors: buses and ground."""
     for name in buses:
         for change in (_up, _lose_none, _delay_none):
-            change(Broken(world, name, 0.0, 0))
+            change(Broken(world, name))
     for change in (_push_none, _level, _unload):
-        change(Broken(world, "", 0.0, 0))
+        change(Broken(world, ""))
 
 
 def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: str | None) -> tuple[str, ...]:

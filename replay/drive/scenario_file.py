@@ -92,7 +92,7 @@ class At(_Section):
 
 
 class Expect(_Section):
-    """What must hold at every moment from `from` to `to`, or, with `within`, at one moment within that time.
+    """What must hold in every cycle from `from` until before `to`, or, with `within`, in one cycle of that time.
 
     An event must be seen once in either case.
     """

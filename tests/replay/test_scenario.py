@@ -18,7 +18,7 @@ from replay.drive.closed_loop import FIRST_NS
 from replay.drive.moment import Moment
 from replay.drive.recording import SessionRecording
 from replay.drive.scenario import RESTART_S, Result, run_scenario
-from replay.drive.scenario_file import Scenario, check_names
+from replay.drive.scenario_file import Scenario, check_names, load_scenario
 from replay.drive.trace import TraceWriter, columns
 from replay.session import open_session
 from replay.verify import verify
@@ -293,6 +293,28 @@ def test_a_window_without_a_cycle_is_no_success() -> None:
 
 def test_each_broken_condition_is_told() -> None:
     assert len(expecting({"from": 2.0, "mode": "idle", "max_speed": 0.1, "event": "flood"}, {"mode": "fault"})) == 4
+
+
+def test_what_happens_at_the_end_of_a_window_is_outside() -> None:
+    at = [*DRIVE, {"t": 2.0, "request": "estop"}]
+    assert expecting({"from": 1.5, "to": 2.0, "mode": "drive"}, {"from": 2.0, "mode": "estop"}, at=at) == ()
+
+
+# -- those that come with the package ---------------------------------------------------------------------------------
+
+SCENARIOS = sorted((ROBOTS.parent / "scenarios").glob("*.toml"))
+NOT_YET = {"frozen_encoder", "slope"}  # what a safe robot must do, and this one does not
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_bundled_scenarios(path: Path, request: pytest.FixtureRequest) -> None:
+    if path.stem in NOT_YET:
+        request.applymarker(pytest.mark.xfail(strict=True, reason="the core does not keep this yet"))
+    assert run_scenario(load_scenario(path)).broken == ()
+
+
+def test_there_are_bundled_scenarios() -> None:
+    assert {path.stem for path in SCENARIOS} >= NOT_YET | {"bus_dropout", "emergency_stop"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

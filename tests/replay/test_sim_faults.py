@@ -90,6 +90,9 @@ def power_cycle() -> None:
     before, after = (frames(between(moments, *window), right) for window in ((2.4, AT), (AT + 0.01, 2.55)))
     assert abs(turns(before[-1])) > 10.0
     assert abs(turns(after[0])) < 2.0, "an incremental encoder forgets where it was"
+    longer = drive("moby", {"kind": "power_cycle", "motor": "right", "seconds": 0.3})
+    assert heard(longer, AT + 0.01, AT + 0.3, right) == 0
+    assert heard(longer, AT + 0.31, AT + 0.61, right) > 70
 
 
 def cable_out() -> None:
