@@ -122,6 +122,16 @@ class _Matrices(NamedTuple):
     damping: tuple[tuple[float, ...], ...]
 
 
+class _Contact(NamedTuple):
+    """A wheel on slippery ground, and what 1 N m of traction changes."""
+
+    joint: int
+    row: Vector
+    reach: Vector  # of du/dt
+    yielding: float  # of the slip's rate, rad/s^2
+    lever: float  # m: radius times share of the weight
+
+
 class Dynamics:
     """Moving state of one robot: quasi-velocities, joint angles and rates, pose. The writer is `step`."""
 
@@ -224,6 +234,7 @@ class Dynamics:
         """The matrices for the wheels that are held to their rows now."""
         matrices = _matrices(self._chassis, self._spins)
         self._mass, self._inverse, self._mobility, self._torque_rows, self._damping = matrices
+        self._contacts = tuple(map(self._contact, self._spins))
 
     def _reflected(self, row: Vector) -> float:
         joint = np.array(row)
@@ -298,38 +309,35 @@ class Dynamics:
         self.set_velocity(velocity)
 
     def _give_traction(self, velocity: Vector, spins: dict[int, float]) -> Vector:
-        """Correct the traction of this substep, and with it the speeds, wheel by wheel until nothing changes.
+        """Correct the traction, and with it the speeds, wheel by wheel until nothing changes.
 
-        A wheel's inertia is small against what it drives, so that a few rounds are enough.
+        It starts from that of the substep before, and a wheel is light against what it drives: a few rounds are enough.
         """
         inertia = self._chassis.body.joint_inertia
-        limits = self._limits()
+        weight = self._total_mass() * GRAVITY * cos(self.slope)
+        a, b, c = velocity
         for _ in range(_MAX_ROUNDS):
             largest = 0.0
-            for joint, limit in limits.items():
-                reach = tuple(row[joint] for row in self._torque_rows)  # of du/dt per N m
-                row_a, row_b, row_c = self._rows[joint]
-                a, b, c = velocity
+            for joint, (row_a, row_b, row_c), (reach_a, reach_b, reach_c), yielding, lever in self._contacts:
+                limit = self._friction[joint] * weight * lever
                 slip = spins[joint] - (row_a * a + row_b * b + row_c * c)
-                yielding = 1.0 / inertia + row_a * reach[0] + row_b * reach[1] + row_c * reach[2]
-                wanted = self._traction[joint] + slip / (STEP_S * yielding)
-                change = max(-limit, min(limit, wanted)) - self._traction[joint]
-                self._traction[joint] += change
-                spins[joint] -= STEP_S * change / inertia
-                velocity = _after(velocity, reach, STEP_S * change)
+                given = self._traction[joint]
+                change = max(-limit, min(limit, given + slip / (STEP_S * yielding))) - given
+                self._traction[joint] = given + change
+                impulse = STEP_S * change
+                spins[joint] -= impulse / inertia
+                a, b, c = a + impulse * reach_a, b + impulse * reach_b, c + impulse * reach_c
                 largest = max(largest, abs(change))
             if largest <= _SAME_TORQUE:
                 break
-        return velocity
+        return a, b, c
 
-    def _limits(self) -> dict[int, float]:
-        """Torque that the ground takes from each wheel on slippery ground, N m."""
-        weight = self._total_mass() * GRAVITY * cos(self.slope)
-        chassis = self._chassis
-        return {
-            joint: friction * weight * chassis.load_shares[joint] * (chassis.wheel_radii[joint] or 0.0)
-            for joint, friction in self._friction.items()
-        }
+    def _contact(self, joint: int) -> _Contact:
+        a, b, c = (row[joint] for row in self._torque_rows)
+        row = self._rows[joint]
+        yielding = 1.0 / self._chassis.body.joint_inertia + row[0] * a + row[1] * b + row[2] * c
+        lever = self._chassis.load_shares[joint] * (self._chassis.wheel_radii[joint] or 0.0)
+        return _Contact(joint, row, (a, b, c), yielding, lever)
 
     def _drive(self, torques: Sequence[float]) -> tuple[float, ...]:
         return tuple(sum(map(mul, row, torques)) for row in self._torque_rows)
@@ -341,10 +349,8 @@ class Dynamics:
 
     def _grip(self, joint: int) -> None:
         """The wheel is held to its row again, as in a plastic impact: wheel and body keep their momentum together."""
-        inertia = self._chassis.body.joint_inertia
-        momentum = self._mass @ np.array(self._velocity) + inertia * self._spins.pop(joint) * np.array(
-            self._rows[joint]
-        )
+        spin = self._chassis.body.joint_inertia * self._spins.pop(joint)
+        momentum = self._mass @ np.array(self._velocity) + spin * np.array(self._rows[joint])
         self._traction.pop(joint)
         self._choose()
         self.set_velocity(_vector(self._inverse @ momentum))

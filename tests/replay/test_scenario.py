@@ -201,6 +201,12 @@ def test_a_restart_is_a_gap_and_commands_from_it_are_lost() -> None:
     assert first.outputs.mode is Mode.IDLE
 
 
+def test_what_was_sent_while_nobody_listened_is_lost() -> None:
+    at = [*DRIVE, {"t": 2.0, "request": "restart"}, {"t": 2.5, "silence": "teleop"}]
+    seen = moments(scenario(at=at, seconds=4.0))
+    assert not any(moment.inputs.commands for moment in seen if moment.t > 2.0)
+
+
 def test_a_latched_emergency_stop_outlives_a_restart() -> None:
     at = [*DRIVE, {"t": 2.0, "request": "estop"}, {"t": 2.5, "request": "restart"}]
     broken = run_scenario(scenario(at=at, seconds=4.0, expect=[{"from": 2.1, "mode": "estop"}])).broken
@@ -372,6 +378,17 @@ def test_the_command_refuses_a_bad_file(text: str, words: str, tmp_path: Path) -
     assert run.returncode == 78
     assert words in run.stderr
     assert run.stdout == ""
+
+
+def test_a_session_that_did_not_reach_the_disk_is_no_success(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        (ROBOTS / "omni4.toml").read_text() + "[recording]\nmin_free = 10_000_000_000_000"
+    )
+    file = tmp_path / "a.toml"
+    file.write_text("robot = 'mine.toml'\nseconds = 0.1\n")
+    run = command_line(file, "--out", tmp_path / "sessions", "--json")
+    assert run.returncode == 69
+    assert "25 cycles are not in" in run.stderr
 
 
 def test_a_missing_file_is_a_bad_file(tmp_path: Path) -> None:
