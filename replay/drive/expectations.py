@@ -28,7 +28,7 @@ class Watcher:
 
     def watch(self, moment: Moment) -> None:
         """One cycle."""
-        if not self._start <= moment.t <= self._end:
+        if not self._start <= moment.t < self._end:
             return
         self._seen += 1
         if self._holds(moment):
@@ -68,7 +68,8 @@ def _of(place: int, expect: Expect, seconds: float) -> list[Watcher]:
         found.append(Watcher(words, start=start, end=end, always=every, holds=holds, found=told))
 
     if expect.mode is not None:
-        add(f"mode {_modes(expect.modes)}", lambda now: now.outputs.mode in expect.modes, _mode_found)
+        right = frozenset(expect.mode)
+        add(f"mode {_modes(expect.mode)}", lambda now: now.outputs.mode in right, _mode_found)
     if expect.max_speed is not None:
         most = expect.max_speed
         add(f"at most {most:g} m/s", lambda now: now.speed <= most, _speed_found)

@@ -5,6 +5,7 @@ Whatever names no motor or bus concerns all of them. A fault with `seconds` ends
 
 from collections.abc import Callable, Sequence
 from enum import Enum
+from math import inf
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
@@ -34,6 +35,7 @@ class FaultKind(Enum):
     FRAMES_DELAYED = "frames_delayed"
     PUSH = "push"
     SLOPE = "slope"
+    FRICTION = "friction"
     MASS = "mass"
     LOOP_PAUSE = "loop_pause"
     CLEAR = "clear"
@@ -58,12 +60,16 @@ class Range(NamedTuple):
 
 
 class Broken(NamedTuple):
-    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable."""
+    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable.
+
+    `lasting`: its end is planned.
+    """
 
     world: SimulatedBus
     name: str
-    value: float
-    seed: int
+    value: float = 0.0
+    seed: int = 0
+    lasting: bool = False
 
 
 Change = Callable[[Broken], object]
@@ -90,7 +96,8 @@ def _power_on(broken: Broken) -> None:
 
 def _power_cycle(broken: Broken) -> None:
     _power_off(broken)
-    _power_on(broken)
+    if not broken.lasting:
+        _power_on(broken)
 
 
 def _unplug(broken: Broken) -> None:
@@ -180,6 +187,14 @@ def _level(broken: Broken) -> None:
     broken.world.robot.dynamics.slope = 0.0
 
 
+def _ground(broken: Broken) -> None:
+    broken.world.robot.set_friction(broken.name, broken.value)
+
+
+def _good_ground(broken: Broken) -> None:
+    broken.world.robot.set_friction(broken.name, inf)
+
+
 def _load(broken: Broken) -> None:
     broken.world.robot.set_mass(broken.value)
 
@@ -207,7 +222,7 @@ _FRACTION = Range(0.0, 1.0, "a fraction, 0 to 1")
 RULES: dict[FaultKind, Rule] = {
     FaultKind.POWER_OFF: Rule(Target.MOTOR, _power_off, _power_on),
     FaultKind.POWER_ON: Rule(Target.MOTOR, _power_on),
-    FaultKind.POWER_CYCLE: Rule(Target.MOTOR, _power_cycle),
+    FaultKind.POWER_CYCLE: Rule(Target.MOTOR, _power_cycle, _power_on),
     FaultKind.CABLE_OUT: Rule(Target.MOTOR, _unplug, _plug),
     FaultKind.CABLE_IN: Rule(Target.MOTOR, _plug),
     FaultKind.ENCODER_FROZEN: Rule(Target.MOTOR, _freeze, _thaw),
@@ -228,36 +243,41 @@ RULES: dict[FaultKind, Rule] = {
         Target.WORLD, _push, _push_none, Range(-1e5, 1e5, "N along world x, -100000 to 100000"), timed=True
     ),
     FaultKind.SLOPE: Rule(Target.WORLD, _tilt, _level, Range(-0.7, 0.7, "rad, rising along world x, -0.7 to 0.7")),
+    FaultKind.FRICTION: Rule(Target.WHEEL, _ground, _good_ground, Range(0.0, 10.0, "a friction coefficient, 0 to 10")),
     FaultKind.MASS: Rule(Target.WORLD, _load, _unload, Range(0.1, 5000.0, "kg in total, 0.1 to 5000")),
     FaultKind.LOOP_PAUSE: Rule(Target.LOOP, _nothing, timed=True),
     FaultKind.CLEAR: Rule(Target.MOTOR, _mend),
 }
 
 
-def begin(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int) -> None:
+def begin(
+    kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int, lasting: bool
+) -> None:
     """Break it, for each of these motors or buses."""
     rule = RULES[kind]
-    amount = value if value is not None else rule.default or 0.0
     for name in names:
-        rule.begin(Broken(world, name, amount, seed))
+        rule.begin(Broken(world, name, _amount(rule, value), seed, lasting))
 
 
 def end(kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None) -> None:
     """Its end by itself."""
     rule = RULES[kind]
-    amount = value if value is not None else rule.default or 0.0
     for name in names:
         if rule.end is not None:
-            rule.end(Broken(world, name, amount, 0))
+            rule.end(Broken(world, name, _amount(rule, value)))
+
+
+def _amount(rule: Rule, value: float | None) -> float:
+    return value if value is not None else rule.default or 0.0
 
 
 def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
     """What `clear` undoes besides the motors: buses and ground."""
     for name in buses:
         for change in (_up, _lose_none, _delay_none):
-            change(Broken(world, name, 0.0, 0))
+            change(Broken(world, name))
     for change in (_push_none, _level, _unload):
-        change(Broken(world, "", 0.0, 0))
+        change(Broken(world, ""))
 
 
 def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: str | None) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from gateway.config import RobotConfig
 from gateway.record import Hello, Record
+from gateway.recorder import RecorderError
 from gateway.recorder_writer import SessionWriter
 from gateway.types import CycleTiming, Inputs, Outputs
 from replay.drive.closed_loop import FIRST_NS
@@ -46,9 +47,12 @@ class SessionRecording:
         self._writer = self._begin()
 
     def close(self) -> None:
-        """Everything on the disk, with a footer."""
+        """Everything on the disk, with a footer. Raises RecorderError if it is not."""
         self._write()
         self._writer.close()
+        report = self._writer.report()
+        if report.lost:
+            raise RecorderError(f"{report.lost} cycles are not in {report.folder}: {report.error}")
 
     def _begin(self) -> SessionWriter:
         hello = Hello(

@@ -187,7 +187,8 @@ class _Drive:
         bus = self._loop.bus
         bus.advance(now_ns)
         names = faults.concerned(fault.kind, self._config, motor=fault.motor, bus=fault.bus)
-        faults.begin(fault.kind, bus, names, fault.value, seed=self._seed + self._planned)
+        lasting = fault.seconds is not None
+        faults.begin(fault.kind, bus, names, fault.value, seed=self._seed + self._planned, lasting=lasting)
         if fault.kind is FaultKind.CLEAR and fault.motor is None:
             faults.clear_surroundings(bus, [one.name for one in self._config.bus])
         if fault.seconds is not None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway import robot_files
 from gateway.config import ConfigError, Name, RobotConfig, parse_as, read
@@ -92,7 +92,7 @@ class At(_Section):
 
 
 class Expect(_Section):
-    """What must hold at every moment from `from` to `to`, or, with `within`, at one moment within that time.
+    """What must hold in every cycle from `from` until before `to`, or, with `within`, in one cycle of that time.
 
     An event must be seen once in either case.
     """
@@ -100,10 +100,15 @@ class Expect(_Section):
     start: Annotated[Time, Field(alias="from")] = 0.0
     to: Time | None = None
     within: Annotated[float, Field(gt=0.0, le=MAX_SECONDS)] | None = None
-    mode: Mode | Annotated[list[Mode], Field(min_length=1)] | None = None
+    mode: Annotated[list[Mode], Field(min_length=1)] | None = None  # any of these; a single one needs no brackets
     max_speed: Annotated[float, Field(ge=0.0, le=100.0, description="m/s")] | None = None
     min_speed: Annotated[float, Field(ge=0.0, le=100.0, description="m/s")] | None = None
     event: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+
+    @field_validator("mode", mode="before")
+    @classmethod
+    def _one_or_several(cls, value: object) -> object:
+        return [value] if isinstance(value, str | Mode) else value
 
     @model_validator(mode="after")
     def _something_sometime(self) -> Self:
@@ -114,13 +119,6 @@ class Expect(_Section):
         if self.to is not None and self.to < self.start:
             raise ValueError(f"to = {self.to}: must not be before from = {self.start}")
         return self
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """The modes that are right; none: every one is."""
-        if self.mode is None:
-            return ()
-        return (self.mode,) if isinstance(self.mode, Mode) else tuple(self.mode)
 
     def end(self, seconds: float) -> float:
         """End of the window in a drive of so many seconds."""
@@ -191,7 +189,9 @@ def _unknown(key: str, at: At, config: RobotConfig) -> Iterator[str]:
     if at.fault is None:
         return
     rule = RULES[at.fault.kind]
-    motors = config.robot.motor_names() if rule.target is Target.MOTOR else wheels(config)
+    if rule.target is Target.WHEEL and not config.robot.body.joint_inertia > 0.0:
+        yield f"{key}.fault.kind = {at.fault.kind.value!r}: needs robot.body.joint_inertia above 0 in the robot file"
+    motors = wheels(config) if rule.target is Target.WHEEL else config.robot.motor_names()
     buses = [bus.name for bus in config.bus]
     if at.fault.motor is not None and at.fault.motor not in motors:
         yield _no_such(f"{key}.fault.motor", at.fault.motor, motors)

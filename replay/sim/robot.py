@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import NamedTuple
 
 from gateway.config import Motor, RobotConfig
@@ -128,11 +129,16 @@ class SimulatedRobot:
         body = self._robot.body if mass is None else self._robot.body.model_copy(update={"mass": mass})
         self.dynamics.load(CHASSIS[self._robot.kind](self._robot.model_copy(update={"body": body})))
 
+    def set_friction(self, motor: str, friction: float) -> None:
+        """Coefficient of friction under the wheel of this motor; infinite: it does not slip."""
+        self.dynamics.set_friction(self._places[motor], friction)
+
     def add_twin(self, motor: str, angle: float) -> SimulatedDevice:
         """A second controller that was given the same id; its shaft stands still, so many rad away at the output."""
         place = self._places[motor]
         shaft = Shaft(self._shafts()[place].position + angle * self._joints[place].scale, 0.0)
-        twin = CONTROLLERS[self._drivers[place]](self.devices[motor].setup)
+        # It has been on for long: its reading is not that of a moment ago, whatever its encoder.
+        twin = CONTROLLERS[self._drivers[place]](self.devices[motor].setup._replace(absolute=True))
         twin.start(shaft, self._time())
         self._twins[motor] = (twin, shaft)
         return twin
@@ -143,10 +149,13 @@ class SimulatedRobot:
         return None if twin is None else twin[0]
 
     def mend(self, motor: str) -> None:
-        """Encoder and drivetrain of this motor are sound again."""
+        """Encoder, drivetrain and ground of this motor are sound again."""
         self.devices[motor].freeze_encoder(False)
         self.shift_encoder(motor, -self._shifts.pop(motor, 0.0))
-        self._drivetrains.pop(self._places[motor], None)
+        place = self._places[motor]
+        self._drivetrains.pop(place, None)
+        if self.dynamics.can_slip(place):
+            self.dynamics.set_friction(place, inf)
 
     def _time(self) -> int:
         if self._time_ns is None:

@@ -15,6 +15,7 @@ def modules(command: str) -> set[str]:
 
 def test_the_daemon_never_imports_rerun() -> None:
     assert not modules("run") & {"rerun", "pyarrow"}
+    assert not modules("scenario") & {"rerun", "pyarrow"}
     assert "pyarrow" in modules("demo"), "so that the test above can fail"
 
 

@@ -1,7 +1,7 @@
 """The simulated ODrive against the protocol tables, and the bench of the other ODrive tests."""
 
 from math import pi
-from struct import pack
+from struct import pack, unpack
 
 import pytest
 from hypothesis import given
@@ -186,3 +186,17 @@ def test_foreign_frames_are_ignored() -> None:
 def test_wrong_setup_names_the_motor_and_the_range() -> None:
     with pytest.raises(ValueError, match=r"motor motor: variant '0.7' id 3: want \['0.5', '0.6'\], 0..62"):
         SimulatedODrive(SETUP._replace(variant="0.7"))
+
+
+def test_05_tells_zero_until_its_first_closed_loop_and_then_what_it_knew_all_along() -> None:
+    bench = Bench("0.5")
+    bench.shaft = Shaft(3.0 * 2.0 * pi, 1.0)
+    bench.run(5)
+    assert bench.send(0x09, remote=True)[0].data == bytes(8)
+    bench.arm()
+    bench.run(5)
+    turns = unpack("<ff", bench.send(0x09, remote=True)[0].data)[0]
+    assert turns == pytest.approx(3.0, abs=0.05)
+    bench.device.power_cycle()
+    bench.run(5)
+    assert bench.send(0x09, remote=True)[0].data == bytes(8)
