@@ -51,6 +51,7 @@ _LAYOUT: Mapping[str, Mapping[str, Kind]] = {
     SEAL_PATH: SEAL_COLUMNS,
 }
 _STATIC = (HEADER_COLUMNS, SEAL_COLUMNS)
+PROBLEMS_SHOWN = 3
 UNMARKED = "not in the recording"
 PRUNED = "deleted to make room"
 _MAYBE = {Kind.MAYBE_INT, Kind.MAYBE_FLOAT, Kind.MAYBE_TEXT}
@@ -134,6 +135,13 @@ class Session:
         if self.header.sealed and (last is None or not last.final):
             found.append("the session was not ended in order: its last cycles may be missing")
         return tuple(found)
+
+    @property
+    def problem(self) -> str | None:
+        """The first of the problems in one line; None if the session is complete."""
+        problems = self.problems
+        more = len(problems) - PROBLEMS_SHOWN
+        return "; ".join(problems[:PROBLEMS_SHOWN]) + (f"; and {more} more" if more > 0 else "") or None
 
     @property
     def pruned(self) -> bool:

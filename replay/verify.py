@@ -29,7 +29,6 @@ from replay.session import RecordedOutputs, Session
 
 PROGRESS_CYCLES = 1000
 EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
-_PROBLEMS_SHOWN = 3
 _CRASHES = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 
 
@@ -106,7 +105,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
             progress(PROGRESS_CYCLES)
     elapsed_ns = max(time.perf_counter_ns() - started_ns, 1)
     covered_ns = (last_ns or 0) - (first_ns or 0)
-    problem = _problem(session, cycles)
+    problem = session.problem or (None if cycles else "the session holds no cycles")
     exit_code = _exit_code(difference, cycles, complete=problem is None, pruned=session.pruned)
     return Verdict(
         identical=exit_code == EXIT_IDENTICAL,
@@ -126,14 +125,6 @@ def _exit_code(difference: Difference | None, cycles: int, *, complete: bool, pr
     if cycles and complete:
         return EXIT_IDENTICAL
     return EXIT_INCOMPLETE if cycles or pruned else EXIT_NOT_REPLAYABLE
-
-
-def _problem(session: Session, cycles: int) -> str | None:
-    problems = session.problems
-    if not problems:
-        return None if cycles else "the session holds no cycles"
-    more = len(problems) - _PROBLEMS_SHOWN
-    return "; ".join(problems[:_PROBLEMS_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _step(engine: Engine, robot: Robot, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:

@@ -96,9 +96,10 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
 
 def _exit_of(session: Session) -> int:
     """After a success; says what is missing from the recording."""
-    for problem in session.problems:
-        complain(f"{session.path}: incomplete: {problem}")
-    return 0 if session.complete else EXIT_INCOMPLETE
+    if session.problem is None:
+        return 0
+    complain(f"{session.path}: incomplete: {session.problem}")
+    return EXIT_INCOMPLETE
 
 
 def _chosen(session: Session, bus: str | None, only: Direction | None) -> list[Due]:

@@ -72,6 +72,7 @@ def test_a_segment_is_never_more_than_half_of_the_budget(tmp_path: Path) -> None
     session = writer(tmp_path, disk_budget=BUDGET)
     assert record(session, 12) <= BUDGET
     session.close()
+    assert max(path.stat().st_size for path in segments(session.folder)) <= BUDGET // 2
 
 
 def test_what_was_pruned_is_incomplete_and_not_different(tmp_path: Path) -> None:
@@ -199,9 +200,18 @@ def test_never_what_another_process_writes_until_it_has_ended(tmp_path: Path) ->
     with held_elsewhere(old):
         record(session, 2)
         assert segments(old)
+        assert left(session.folder) == [2]  # the budget holds all the same
     record(session, 2)
     assert not old.exists()
     session.close()
+
+
+def test_never_a_session_made_later(tmp_path: Path) -> None:
+    session = small(tmp_path)
+    later = old_session(tmp_path, started_ns=0)
+    record(session, 3)
+    session.close()
+    assert segments(later)
 
 
 def test_a_running_writer_holds_its_folder(tmp_path: Path) -> None:
@@ -251,7 +261,7 @@ def test_never_what_is_not_ours(tmp_path: Path, make: Callable[[Path, Path], Pat
     session.close()
     assert kept.stat().st_size == size
     assert all(link.is_symlink() for link in links)
-    assert left(session.folder)[0] != 1  # room was needed
+    assert left(session.folder) == [4, 5, 6]  # room was needed, and none for what is not ours
 
 
 def test_more_than_99999_segments_are_read_in_order(tmp_path: Path) -> None:

@@ -279,6 +279,11 @@ def test_marked_and_unmarked_gaps(tmp_path: Path) -> None:
     assert list(session.cycles()) == expected(kept)
 
 
+def test_a_session_begins_with_cycle_0(tmp_path: Path) -> None:
+    session = open_session(write(tmp_path, list(drive(5, first=30))))
+    assert session.gaps == (Gap(0, 29, "not in the recording"),)
+
+
 def test_a_session_of_nothing_but_a_gap(tmp_path: Path) -> None:
     session = writer(tmp_path)
     session.write((), [Gap(0, 9, "full")])
