@@ -198,7 +198,8 @@ def show(verdict: Verdict) -> None:
     elif verdict.identical:
         console.print(f"[green]identical[/]: {covered}")
     elif verdict.exit_code == EXIT_INCOMPLETE:
-        console.print(f"[yellow]incomplete[/]: identical as far as it goes ({covered}), but not whole")
+        compared = f"identical as far as it goes ({covered})" if verdict.cycles else "nothing could be compared"
+        console.print(f"[yellow]incomplete[/]: {compared}", highlight=False)
     else:
         console.print("[yellow]not replayable[/]: nothing could be compared")
     if verdict.problem is not None:
