@@ -201,7 +201,10 @@ class Zenoh(_Section):
 
 
 class Recording(_Section):
-    """Where sessions go and how much disk they may take; a relative directory is relative to the working one."""
+    """Where sessions go and how much disk they may take; a relative directory is relative to the working one.
+
+    disk_budget: all sessions of this robot together, the running one included; a segment has at most half of it.
+    """
 
     enabled: bool = True
     directory: Annotated[str, Field(min_length=1, max_length=256)] = "sessions"

@@ -37,6 +37,10 @@ class Gap(msgspec.Struct, frozen=True, array_like=True, tag="gap"):
     reason: str
 
 
+class End(msgspec.Struct, frozen=True, array_like=True, tag="end"):
+    """The last packet of a service that ends in order: every cycle has come before it, or its gap has."""
+
+
 class Report(NamedTuple):
     """State of the recorder process; each report replaces the one before.
 
@@ -53,7 +57,7 @@ class Report(NamedTuple):
     closed: bool
 
 
-Packet = Record | Gap
+Packet = Record | Gap | End
 
 PACKET_LIMIT = 1 << 20  # bytes; a cycle of 1 MB has some 40 000 frames
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
-from gateway.record import Gap, Hello, Record, encode
+from gateway.record import End, Gap, Hello, Record, encode
 from gateway.recorder_child import RecorderChild, TooLongError
 from gateway.types import CycleTiming, Inputs, Outputs
 
@@ -37,7 +37,7 @@ class RecorderError(RuntimeError):
 
 
 class _Waiting(NamedTuple):
-    cycle: int | None  # None: a gap marker
+    cycle: int | None  # None: a gap marker, or the end
     packet: bytes
 
 
@@ -115,8 +115,10 @@ class Recorder:
         child = self._child
         if child is None:
             return False
-        while (self._backlog or self._gap is not None) and child.wait_writable(deadline - time.monotonic()):
-            self._send_backlog(len(self._backlog) + 1)
+        self._append_gap()
+        self._append(_Waiting(None, encode(End())))
+        while self._backlog and child.wait_writable(deadline - time.monotonic()):
+            self._send_backlog(len(self._backlog))
         complete = not self._backlog and self._gap is None
         child.finish(deadline)
         self._take_report(child)

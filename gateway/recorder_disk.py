@@ -1,43 +1,89 @@
-"""Folders, names and room on the disk of recorded sessions; knows nothing of what is in a segment."""
+"""Folders, names and room on the disk of recorded sessions; knows nothing of what is in a segment.
 
+How this works
+--------------
+Each session folder holds its segments and its number, one more than the largest one there was when it was made: what
+is older is read from that and never from a clock, which may start in 1970. Whoever writes a session holds a lock on
+its folder, which the kernel frees with the process. Room is made among the sessions of one robot only: older sessions
+first, then the oldest closed segments of the one being written. Links are neither followed nor deleted.
+"""
+
+import contextlib
+import fcntl
 import os
 import re
+import stat
 import threading
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
+FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
 SYNC_PERIOD_S = 1.0
-_SESSION = re.compile(r"[a-z][a-z0-9_-]*-\d{8}T\d{6}Z(-\d+)?")
+_NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
+_DIGITS = 18  # of the longest number that is believed
+
+
+class Disposable(NamedTuple):
+    """What may be deleted to make room: an older session whole, or one closed segment of the running one."""
+
+    path: Path
+    bytes: int
+    segment: int | None  # its number; None for a session
 
 
 def new_session(directory: Path, robot: str, started_wall_ns: int) -> Path:
     """Make the folder of a new session: robot, UTC start, and a number if there is one of that name already."""
     stamp = datetime.fromtimestamp(started_wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
-    directory.mkdir(parents=True, exist_ok=True)
+    directory.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+    after = max((_number(path) for path in sessions(directory, robot)), default=0)
     number = 1
     while True:
         folder = directory / (f"{robot}-{stamp}" if number == 1 else f"{robot}-{stamp}-{number}")
         try:
-            folder.mkdir()
+            make_folder(folder)
         except FileExistsError:
             number += 1
             continue
+        _write_number(folder, after + 1)
         return folder
+
+
+def make_folder(folder: Path) -> None:
+    """Make a session folder with its mode. Raises OSError."""
+    folder.mkdir(mode=FOLDER_MODE)
+    folder.chmod(FOLDER_MODE)
+
+
+def sessions(directory: Path, robot: str) -> list[Path]:
+    """Session folders of this robot, oldest first: those without a number by their names, then by number."""
+    name = re.compile(rf"{re.escape(robot)}-(\d{{8}}T\d{{6}}Z)(?:-(\d{{1,{_DIGITS}}}))?")
+    found = ((name.fullmatch(path.name), path) for path in directory.iterdir())
+    ours = [
+        ((_number(path), match[1], int(match[2] or 1)), path)
+        for match, path in found
+        if match and path.is_dir() and not path.is_symlink()
+    ]
+    return [path for _, path in sorted(ours)]
 
 
 def segments(folder: Path) -> list[Path]:
     """Segments of a session in the order of their numbers."""
-    found = ((_SEGMENT.fullmatch(path.name), path) for path in folder.iterdir())
-    return [path for _, path in sorted((int(match[1]), path) for match, path in found if match)]
+    found = ((segment_number(path), path) for path in folder.iterdir())
+    return [path for _, path in sorted((number, path) for number, path in found if number is not None)]
+
+
+def segment_number(path: Path) -> int | None:
+    """Place of a segment in its session, from its name; None if it is not named as one."""
+    match = _SEGMENT.fullmatch(path.name)
+    return int(match[1]) if match else None
 
 
 def next_segment(folder: Path) -> int:
     """Number of the segment to write next."""
-    present = segments(folder)
-    if not present:
-        return 1
-    return int(present[-1].stem.removeprefix("segment-")) + 1
+    return max((segment_number(path) or 0 for path in segments(folder)), default=0) + 1
 
 
 def segment_path(folder: Path, number: int) -> Path:
@@ -51,33 +97,104 @@ def free_bytes(folder: Path) -> int:
     return system.f_bavail * system.f_frsize
 
 
-def prune(directory: Path, *, current: Path, budget: int) -> list[Path]:
-    """Delete the oldest sessions until all together fit the budget, never the current one; what was deleted.
+def stored_bytes(directory: Path, robot: str) -> int:
+    """Bytes of all segments of this robot's sessions."""
+    return sum(_own_bytes(segment) for session in sessions(directory, robot) for segment in segments(session))
 
-    Only files named as ours are deleted: a folder into which a person put notes keeps them.
+
+def disposable(current: Path, robot: str, *, writing: Path | None) -> list[Disposable]:
+    """What may go while `current` is recorded, in the order in which it goes; `writing` is the open segment."""
+    present = sessions(current.parent, robot)
+    older = present[: present.index(current)] if current in present else []
+    found = [Disposable(path, sum(map(_own_bytes, segments(path))), None) for path in older if not _is_held(path)]
+    own = segments(current) if current in present else []
+    found += [Disposable(path, _own_bytes(path), segment_number(path)) for path in own if path != writing]
+    return [one for one in found if one.bytes]
+
+
+def delete(one: Disposable) -> None:
+    """Delete it, of a session only what is named as ours: a folder into which a person put notes keeps them."""
+    if one.segment is not None:
+        one.path.unlink()
+        return
+    with hold(one.path) as held:
+        if held:
+            for path in segments(one.path):
+                if not path.is_symlink():
+                    path.unlink()
+            (one.path / _NUMBER_FILE).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # not empty
+                one.path.rmdir()
+
+
+class Hold:
+    """The lock on a session folder while this process writes it; another process' pruning leaves such a folder alone.
+
+    `held` is False when somebody else has it, or when the file system knows no locks: recording goes on without.
     """
-    sessions = [path for path in directory.iterdir() if path.is_dir() and _SESSION.fullmatch(path.name)]
-    sizes = {path: sum(segment.stat().st_size for segment in segments(path)) for path in sessions}
-    total = sum(sizes.values())
-    gone = []
-    for path in sorted(sessions, key=_age):
-        if total <= budget:
-            break
-        if path == current or not sizes[path]:
-            continue
-        for segment in segments(path):
-            segment.unlink()
-        if not any(path.iterdir()):
-            path.rmdir()
-        total -= sizes[path]
-        gone.append(path)
-    return gone
+
+    def __init__(self, folder: Path) -> None:
+        self._descriptor: int | None = None
+        with contextlib.suppress(OSError):
+            self._descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        if self._descriptor is not None:
+            try:
+                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                self.release()
+
+    @property
+    def held(self) -> bool:
+        """Whether the folder is ours."""
+        return self._descriptor is not None
+
+    def release(self) -> None:
+        """Let go; the end of the process does, too."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
 
 
-def _age(path: Path) -> tuple[str, str]:
-    """Sort key: UTC start as written in the name, oldest first, whatever the robot is called."""
-    stamp = re.search(r"\d{8}T\d{6}Z", path.name)
-    return (stamp[0] if stamp else "", path.name)
+@contextlib.contextmanager
+def hold(folder: Path) -> Iterator[bool]:
+    """Hold a folder for a moment; False if somebody else holds it."""
+    lock = Hold(folder)
+    try:
+        yield lock.held
+    finally:
+        lock.release()
+
+
+def _is_held(folder: Path) -> bool:
+    with hold(folder) as free:
+        return not free
+
+
+def _own_bytes(segment: Path) -> int:
+    """Size of a segment; 0 for a link, whose target is not ours, and for one that has just gone."""
+    try:
+        found = segment.lstat()
+    except OSError:
+        return 0
+    return found.st_size if stat.S_ISREG(found.st_mode) else 0
+
+
+def _number(folder: Path) -> int:
+    """Number of a session; 0 for one recorded before sessions had numbers."""
+    try:
+        text = (folder / _NUMBER_FILE).read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        return 0
+    return int(text) if text.isdecimal() and len(text) <= _DIGITS else 0
+
+
+def _write_number(folder: Path, number: int) -> None:
+    path = folder / _NUMBER_FILE
+    path.write_text(f"{number}\n", encoding="ascii")
+    path.chmod(FILE_MODE)
+    sync(path)
+    sync(folder)
+    sync(folder.parent)
 
 
 class Syncer:

@@ -29,6 +29,7 @@ def header(hello: Hello, *, session: str, robot: str) -> Header:
         host=socket.gethostname(),
         started_wall_ns=hello.started_wall_ns,
         wall_minus_mono_ns=hello.wall_minus_mono_ns,
+        sealed=True,
     )
 
 

@@ -4,7 +4,8 @@ How this works
 --------------
 The service keeps one end of a socket pair and gives the other to this process. It sleeps a little and takes what has
 come, so that a sending service never has to wake anybody. End of file (the service closed, or died in any way) means:
-write what is left, close the footer, go. The signals that end the service are blocked here from birth.
+write what is left, close the footer, go; the session counts as ended only if the service said so before. The signals
+that end the service are blocked here from birth.
 """
 
 import contextlib
@@ -15,7 +16,7 @@ import sys
 import time
 
 from gateway.config import RobotConfig
-from gateway.record import PACKET_LIMIT, Gap, Hello, Packet, Record, Report, decode_hello, decode_packet, encode
+from gateway.record import PACKET_LIMIT, End, Gap, Hello, Packet, Record, Report, decode_hello, decode_packet, encode
 from gateway.recorder_segment import RecordingOffError, WriterDeadError
 from gateway.recorder_writer import SessionWriter
 
@@ -73,8 +74,12 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
     records: list[Record] = []
     gaps: list[Gap] = []
     due_ns = 0
+    ended = False
     while not inbox.ended:
         for packet in inbox.take(BATCH_RECORDS - len(records)):
+            if isinstance(packet, End):
+                ended = True
+                continue
             if isinstance(packet, Gap):
                 gaps.append(packet)
                 continue
@@ -90,7 +95,7 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
             time.sleep(DRAIN_PERIOD_S)
     if gaps:
         writer.write((), gaps)
-    writer.close()
+    writer.close(ended=ended)
     inbox.send(writer.report())
 
 

@@ -52,10 +52,8 @@ class Views:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        motors = config.motors_in_order()
-        self._names = tuple(motor.name for motor in motors)
+        self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = next((i for i, kind in enumerate(self._names) if kind == _platform(config)), None)
-        self._joint_zero = 0.0 if self._joint is None else motors[self._joint].zero
         self._mode: Mode | None = None
         self._picture = -1
         self._joint_angle = 0.0
@@ -167,7 +165,7 @@ class Views:
         for trace in traces:
             position = trace.wheel_positions[self._joint or 0]
             if position is not None:
-                self._joint_angle = position - self._joint_zero
+                self._joint_angle = position
             angles.append(self._joint_angle)
         return np.array(angles)
 

@@ -2,10 +2,12 @@
 
 How this works
 --------------
-Records come in batches. A batch goes to the open segment; a segment that is old or big enough is closed and the next
-batch opens a new one. Without room on the disk the segment is closed and what comes is counted as lost until there
-is room again; the gap is then written in front of what follows. A dead writing thread ends this process
-(WriterDeadError goes through): the service starts a new one, which goes on in the same folder.
+Records come in batches. A batch goes to the open segment; one that is old, or would become too big, is closed before
+and the batch opens a new one. Room is made by deleting what is oldest, also of this session (`gateway.recorder_disk`):
+when a segment is opened, so that all of the robot's sessions stay within the budget, and when the disk runs full. If
+that does not help, the segment is closed and what comes is counted as lost until there is room again; the gap is then
+written in front of what follows. A dead writing thread ends this process (WriterDeadError goes through): the service
+starts a new one, which goes on in the same folder.
 """
 
 import logging
@@ -19,7 +21,22 @@ import rerun as rr
 from gateway.blueprint import blueprint
 from gateway.config import RobotConfig
 from gateway.record import Gap, Hello, Record, Report
-from gateway.recorder_disk import Syncer, free_bytes, new_session, next_segment, prune, segment_path, sync
+from gateway.recorder_disk import (
+    Disposable,
+    Hold,
+    Syncer,
+    delete,
+    disposable,
+    free_bytes,
+    make_folder,
+    new_session,
+    next_segment,
+    segment_number,
+    segment_path,
+    segments,
+    stored_bytes,
+    sync,
+)
 from gateway.recorder_header import header
 from gateway.recorder_segment import Segment
 from gateway.recorder_shapes import reach
@@ -39,7 +56,10 @@ class SessionWriter:
         directory = Path(config.recording.directory)
         name = config.robot.name
         self.folder = Path(hello.folder) if hello.folder else new_session(directory, name, hello.started_wall_ns)
+        self._hold = Hold(self.folder)
+        self._robot = name
         self._limits = config.recording
+        self._segment_bytes = min(self._limits.segment_bytes, self._limits.disk_budget // 2)
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
         self._views = Views(config)
@@ -47,6 +67,8 @@ class SessionWriter:
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0
+        self._first_segment = _first_segment(self.folder)
+        self._largest_batch = 0
         self._opened_ns = 0
         self._gaps: list[Gap] = []
         self._records = 0
@@ -77,32 +99,40 @@ class SessionWriter:
     def write(self, records: Sequence[Record], gaps: Sequence[Gap] = ()) -> None:
         """Write a batch or count it as lost. Raises WriterDeadError, RecordingOffError."""
         self._gaps += gaps
-        if not self._room():
+        if not self._room() or self._rotation_is_due():
             self._close_segment()
-        elif self._segment is None:
-            self._open()
+        self.open()
         if self._segment is None:
             self._lose(records, self._error or "no segment")
         else:
+            before = self._segment.size() or 0
             self._write(self._segment, records)
             self._segment.flush()
-            self._rotate_if_due(self._segment)
+            self._largest_batch = max(self._largest_batch, (self._segment.size() or 0) - before)
         self._records += len(records)
         self._settled_cycle = records[-1].inputs.cycle if records else self._settled_cycle
 
-    def close(self) -> None:
-        """Footer, last sync. Raises WriterDeadError."""
+    def close(self, *, ended: bool = True) -> None:
+        """Seal, footer, last sync; `ended`: the service says that nothing is missing. Raises WriterDeadError."""
         if self._gaps:
             self.write(())
-        self._close_segment()
+        self._close_segment(final=ended)
         self._syncer.close()
+        self._hold.release()
         self._closed = True
 
     def _room(self) -> bool:
-        """Whether there is room to write; says so once when that changes."""
+        """Whether there is room to write, after making some if that helps; says so once when that changes."""
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            if not self.folder.exists():  # somebody has taken it away
+                self.folder.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(self.folder)
+                self._hold.release()
+                self._hold = Hold(self.folder)
             free = self._free(self.folder)
+            if free < self._limits.min_free:
+                self._free_disk(self._limits.min_free - free)
+                free = self._free(self.folder)
         except OSError as error:
             self._fail(f"{self.folder}: {error.strerror}")
             return False
@@ -115,10 +145,10 @@ class SessionWriter:
 
     def _open(self) -> None:
         try:
-            self._prune()
-            number = next_segment(self.folder)
+            self._keep_budget()
+            number = max(next_segment(self.folder), self._number + 1)
             path = segment_path(self.folder, number)
-            numbered = msgspec.structs.replace(self._header, segment=number)
+            numbered = msgspec.structs.replace(self._header, segment=number, first_segment=self._first_segment)
             self._segment = Segment(path, header=numbered, views=self._views, blueprint=self._blueprint)
         except OSError as error:
             self._fail(f"cannot open a segment in {self.folder}: {error}")
@@ -128,10 +158,32 @@ class SessionWriter:
         self._syncer.watch(path)
         self._error = None
 
-    def _prune(self) -> None:
-        directory = self.folder.parent
-        for gone in prune(directory, current=self.folder, budget=self._limits.disk_budget):
-            logger.warning("deleted old session %s: recording.disk_budget is reached", gone.name)
+    def _keep_budget(self) -> None:
+        """Before a segment is opened there is room in the budget for the whole of it."""
+        allowed = self._limits.disk_budget - self._segment_bytes
+        excess = stored_bytes(self.folder.parent, self._robot) - allowed
+        if excess > 0:
+            self._delete(self._disposable(), excess, "recording.disk_budget is reached")
+
+    def _free_disk(self, missing: int) -> None:
+        """Nothing is deleted in vain, when others have filled the disk."""
+        found = self._disposable()
+        if sum(one.bytes for one in found) >= missing:
+            self._delete(found, missing, "free space is below recording.min_free")
+
+    def _disposable(self) -> list[Disposable]:
+        writing = None if self._segment is None else self._segment.path
+        return disposable(self.folder, self._robot, writing=writing)
+
+    def _delete(self, found: Sequence[Disposable], excess: int, reason: str) -> None:
+        for one in found:
+            if excess <= 0:
+                return
+            delete(one)
+            excess -= one.bytes
+            if one.segment is not None:
+                self._first_segment = max(self._first_segment, one.segment + 1)
+            logger.warning("deleted %s: %s", one.path, reason)
 
     def _write(self, segment: Segment, records: Sequence[Record]) -> None:
         """One record with a value that no column holds must not cost its neighbours: halve until it stands alone."""
@@ -147,16 +199,20 @@ class SessionWriter:
         else:
             self._gaps = []
 
-    def _rotate_if_due(self, segment: Segment) -> None:
+    def _rotation_is_due(self) -> bool:
+        """Whether the open segment is too old, or might grow too big with the next batch."""
+        if self._segment is None:
+            return False
+        size = self._segment.size()
         age_s = (time.monotonic_ns() - self._opened_ns) * 1e-9
-        size = segment.size()
-        if size is None or size >= self._limits.segment_bytes or age_s >= self._limits.segment_seconds:
-            self._close_segment()
+        full = size is None or (self._segment.batches > 0 and size + self._largest_batch > self._segment_bytes)
+        return full or age_s >= self._limits.segment_seconds
 
-    def _close_segment(self) -> None:
+    def _close_segment(self, *, final: bool = False) -> None:
         if self._segment is None:
             return
-        self._segment.close()
+        last = self._settled_cycle if final else None
+        self._segment.close(first_segment=self._first_segment, final=final, last_cycle=last)
         self._syncer.watch(None)
         try:
             sync(self._segment.path)
@@ -173,3 +229,9 @@ class SessionWriter:
         if text != self._error:
             logger.warning("%s", text)
         self._error = text
+
+
+def _first_segment(folder: Path) -> int:
+    """Of a session that goes on after the end of another recorder process: what is missing had been deleted."""
+    present = segments(folder) if folder.is_dir() else []
+    return (segment_number(present[0]) or 1) if present else 1

@@ -85,11 +85,25 @@ class Header(msgspec.Struct, frozen=True):
     host: str
     started_wall_ns: int
     wall_minus_mono_ns: int
+    sealed: bool = False  # each segment ends with a seal; recordings from before there were any do not
+    first_segment: int = 1  # those before it were deleted to make room
 
 
 HEADER_PATH = "/header"
 HEADER_ARCHETYPE = "SessionHeader"
 HEADER_COLUMNS = {"schema_version": Kind.INT, "json": Kind.TEXT}  # the version is readable in every version
+
+# The last row of a segment. `bytes` and `crc32` (zlib) are of the file in front of it. `first_segment` as in the
+# header, when the segment was closed. `final`: nothing follows, the service ended in order; `last_cycle` was its last.
+SEAL_PATH = "/seal"
+SEAL_ARCHETYPE = "Seal"
+SEAL_COLUMNS = {
+    "bytes": Kind.INT,
+    "crc32": Kind.INT,
+    "first_segment": Kind.INT,
+    "final": Kind.BOOL,
+    "last_cycle": Kind.MAYBE_INT,
+}
 
 GAP_PATH = "/gap"
 GAP_ARCHETYPE = "Gap"

@@ -54,11 +54,13 @@ class Comparison(NamedTuple):
 
 
 def moments(session: Session) -> list[Moment]:
-    """Every cycle of a session from its first command on, as the core says it was."""
+    """Every cycle of a session from its first command on, as the core says it was, up to the first that is missing."""
     engine = Engine(parse(session.config_text, "robot file of the session"))
     origin_ns = None
     found: list[Moment] = []
-    for inputs, _ in session.cycles():
+    for cycle, (inputs, _) in enumerate(session.cycles()):
+        if inputs.cycle != cycle:
+            break
         if origin_ns is None and inputs.commands:
             origin_ns = inputs.commands[0].received_ns
         outputs = engine.step(inputs)

@@ -6,11 +6,14 @@ A Rerun file is a stream header followed by messages, each with its kind and len
 message whose tail marks the footer. Messages carry no checksum, and Rerun's own reader ends the whole process on some
 damaged ones (measured with 0.41: 4 of 6 files with flipped bits). So this walks over the messages itself: one is taken
 when it lies within the file, is of a known kind and, if it holds Arrow data, unpacks, decodes and validates
-completely. One that does not is left out; the walk ends where the structure itself ends.
+completely. One that does not is left out; the walk ends where the structure itself ends. The tail behind the end
+message says where in the file that message began, so that a file from which bytes were taken is known as such even
+if what is left has all the structure it should have.
 Source: measured with rerun-sdk 0.41.0 (layout of the framing and of the ArrowMsg fields).
 """
 
 import mmap
+import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from struct import Struct
@@ -21,7 +24,7 @@ import pyarrow as pa
 STREAM_HEADER_BYTES = 12  # "RRF2", version 4 bytes, compression, serializer, 2 reserved
 MAGIC = b"RRF2"
 FOOTER_MARK = b"RRF2FOOT"
-FOOTER_MARK_FROM_END = 12  # followed by a count of 4 bytes
+_TAIL = Struct("<QQI8sI")  # place of the footer in the file, its length, its checksum, mark, count
 _MESSAGE = Struct("<QQ")  # kind, payload length
 _END, _STORE_INFO, _ARROW, _BLUEPRINT = range(4)
 _FIELD_COMPRESSION, _FIELD_SIZE, _FIELD_BODY = 2, 3, 5
@@ -41,10 +44,11 @@ class Cut(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Record batches by entity path, and whether the file was closed in order and free of damage."""
+    """Record batches by entity path, the place in the file of the last message of each, and what is wrong with it."""
 
     batches: dict[str, list[pa.RecordBatch]]
-    whole: bool
+    places: dict[str, int]
+    problem: str | None
 
 
 class _Message(NamedTuple):
@@ -53,23 +57,14 @@ class _Message(NamedTuple):
     end: int
 
 
-def has_footer(path: Path) -> bool:
-    """Whether the file was closed in order."""
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        if size < STREAM_HEADER_BYTES + FOOTER_MARK_FROM_END:
-            return False
-        file.seek(size - FOOTER_MARK_FROM_END)
-        return file.read(len(FOOTER_MARK)) == FOOTER_MARK
-
-
 def read(path: Path, entities: Collection[str], *, first_only: bool = False) -> Found:
     """The whole messages of these entities. Raises ValueError if it is no Rerun file, OSError."""
     batches: dict[str, list[pa.RecordBatch]] = {}
-    intact, ended = True, False
+    places: dict[str, int] = {}
+    intact, end = True, None
     with path.open("rb") as file, _mapped(file.fileno(), path) as data:
         for message in _messages(data):
-            ended = message.kind == _END
+            end = message if message.kind == _END else None
             if message.kind != _ARROW:
                 continue
             try:
@@ -80,9 +75,16 @@ def read(path: Path, entities: Collection[str], *, first_only: bool = False) -> 
             if table is None:
                 continue
             batches.setdefault(entity, []).extend(table.to_batches())
+            places[entity] = message.start
             if first_only:
                 break
-    return Found(batches, intact and ended and has_footer(path))
+        return Found(batches, places, _problem(data, end, intact=intact))
+
+
+def checksum(path: Path, length: int) -> int:
+    """CRC-32 of so many bytes from the start of the file. Raises ValueError if it is no Rerun file, OSError."""
+    with path.open("rb") as file, _mapped(file.fileno(), path) as data, memoryview(data) as view, view[:length] as part:
+        return zlib.crc32(part)
 
 
 def repair(source: Path, target: Path) -> Cut:
@@ -101,6 +103,22 @@ def repair(source: Path, target: Path) -> Cut:
             out.write(data[message.start : message.end])
             kept += 1
         return Cut(kept, dropped, len(data) - end)
+
+
+def _problem(data: mmap.mmap, end: _Message | None, *, intact: bool) -> str | None:
+    """What is wrong with a file, from its end message and whether all others could be read."""
+    tail = data[-_TAIL.size :]
+    place, length, _, mark, _ = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, 0, 0, b"", 0)
+    if end is None and mark != FOOTER_MARK:
+        return "it was not closed: its end may be missing"
+    start = None if end is None else end.start + _MESSAGE.size
+    if (
+        end is None
+        or mark != FOOTER_MARK
+        or (place, place + length, len(data)) != (start, end.end, end.end + len(tail))
+    ):
+        return "it is not as it was written: bytes are missing, added or changed"
+    return None if intact else "it is damaged"
 
 
 def _mapped(descriptor: int, path: Path) -> mmap.mmap:

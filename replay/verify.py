@@ -2,6 +2,18 @@
 
 Compared are, cycle by cycle: every CAN frame, the mode, replies, events and odometry. The first difference is
 reported in words: cycle, motor, field and both values, decoded by the driver the frame belongs to.
+
+How this works
+--------------
+The core is run from cycle 0 to the first cycle that is missing; beyond that its state is not known. Only a session
+all of which is provably there (see `replay.session`) can be called identical.
+
+| what was compared | the recording is complete | it is not |
+|---|---|---|
+| something differs | 1 | 1 |
+| at least one cycle, all equal | 0 | 3 |
+| nothing, because the recorder deleted the beginning to make room | - | 3 |
+| nothing else | 2 | 2 |
 """
 
 import time
@@ -12,10 +24,12 @@ from drivers.interface import CanFrame, DecodedFrame
 from gateway.config import parse
 from gateway.engine import Engine
 from gateway.robot import Robot, build
-from gateway.types import Outputs
+from gateway.types import Inputs, Outputs
 from replay.session import RecordedOutputs, Session
 
 PROGRESS_CYCLES = 1000
+EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
+_CRASHES = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 
 
 class Difference(NamedTuple):
@@ -29,38 +43,42 @@ class Difference(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What verify found. `problem` says why a session could not be replayed to its end.
+    """What verify found.
 
-    `complete`: every segment was closed; else the last moments of the session may never have reached the disk.
+    `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
+    otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared.
     """
 
     identical: bool
+    complete: bool
     cycles: int
     frames: int
     realtime_ratio: float
     first_difference: Difference | None
     problem: str | None
-    complete: bool
-
-    @property
-    def exit_code(self) -> int:
-        """0 identical, 1 different, 2 not replayable."""
-        if self.first_difference is not None:
-            return 1
-        return 0 if self.identical else 2
+    exit_code: int
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
         difference = self.first_difference
-        return {
-            "identical": self.identical,
-            "cycles": self.cycles,
-            "frames": self.frames,
-            "complete": self.complete,
+        return self._asdict() | {
             "realtime_ratio": round(self.realtime_ratio, 2),
             "first_difference": None if difference is None else difference._asdict(),
-            "problem": self.problem,
         }
+
+
+def not_replayable(problem: str) -> Verdict:
+    """The verdict on what cannot be opened, or whose robot file this version refuses."""
+    return Verdict(
+        identical=False,
+        complete=False,
+        cycles=0,
+        frames=0,
+        realtime_ratio=0.0,
+        first_difference=None,
+        problem=problem,
+        exit_code=EXIT_NOT_REPLAYABLE,
+    )
 
 
 def verify(session: Session, progress: Callable[[int], None] | None = None) -> Verdict:
@@ -73,16 +91,11 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
     started_ns = time.perf_counter_ns()
     cycles = frames = 0
     first_ns = last_ns = None
-    expected = None
-    problem = None
     difference = None
     for inputs, recorded in session.cycles():
-        if expected is not None and inputs.cycle != expected:
-            problem = f"cycles {expected} to {inputs.cycle - 1} are missing from the recording"
+        if inputs.cycle != cycles:
             break
-        outputs = engine.step(inputs)
-        difference = None if _same(outputs, recorded) else _difference(inputs.cycle, robot, outputs, recorded)
-        expected = inputs.cycle + 1
+        difference = _step(engine, robot, inputs, recorded)
         cycles += 1
         frames += len(recorded.frames)
         first_ns, last_ns = first_ns or inputs.now_ns, inputs.now_ns
@@ -92,25 +105,35 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
             progress(PROGRESS_CYCLES)
     elapsed_ns = max(time.perf_counter_ns() - started_ns, 1)
     covered_ns = (last_ns or 0) - (first_ns or 0)
-    problem = problem or _problem(session, cycles)
+    problem = session.problem or (None if cycles else "the session holds no cycles")
+    exit_code = _exit_code(difference, cycles, complete=problem is None, pruned=session.pruned)
     return Verdict(
-        identical=difference is None and problem is None,
+        identical=exit_code == EXIT_IDENTICAL,
+        complete=problem is None,
         cycles=cycles,
         frames=frames,
         realtime_ratio=covered_ns / elapsed_ns,
         first_difference=difference,
-        problem=None if difference is not None else problem,
-        complete=session.complete,
+        problem=problem,
+        exit_code=exit_code,
     )
 
 
-def _problem(session: Session, cycles: int) -> str | None:
-    if cycles == 0:
-        return "the session holds no cycles"
-    if session.gaps:
-        first = session.gaps[0]
-        return f"the recorder lost cycles {first.first_cycle} to {first.last_cycle}"
-    return None
+def _exit_code(difference: Difference | None, cycles: int, *, complete: bool, pruned: bool) -> int:
+    if difference is not None:
+        return EXIT_DIFFERENT
+    if cycles and complete:
+        return EXIT_IDENTICAL
+    return EXIT_INCOMPLETE if cycles or pruned else EXIT_NOT_REPLAYABLE
+
+
+def _step(engine: Engine, robot: Robot, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:
+    """One cycle; a core that breaks on what it once answered, as it may on damaged inputs, answers differently."""
+    try:
+        outputs = engine.step(inputs)
+    except _CRASHES as error:
+        return Difference(inputs.cycle, None, "answer", f"{len(recorded.frames)} frames", f"exception {error!r}")
+    return None if _same(outputs, recorded) else _difference(inputs.cycle, robot, outputs, recorded)
 
 
 def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:

@@ -59,11 +59,21 @@ def write(directory: Path, records: Sequence[Record], *, batch: int = 100, gaps:
     return session.folder
 
 
-def write_drive(directory: Path, world: World) -> Path:
+def world_writer(directory: Path, world: World, *, started_ns: int = STARTED_NS, **recording: object) -> SessionWriter:
+    """For a drive of tests.world."""
+    config = stored(world.config, directory, **recording)
+    told = hello(config, text=world.text)._replace(started_wall_ns=started_ns)
+    return SessionWriter(config, told, free=lambda _: PLENTY)
+
+
+def write_drive(
+    directory: Path, world: World, *, batch: int | None = None, started_ns: int = STARTED_NS, **recording: object
+) -> Path:
     """The closed session of a drive of tests.world."""
-    config = stored(world.config, directory)
-    session = SessionWriter(config, hello(config, text=world.text), free=lambda _: PLENTY)
-    session.write([Record(inputs, outputs, CycleTiming(0, 0, 0)) for inputs, outputs in world.records])
+    session = world_writer(directory, world, started_ns=started_ns, **recording)
+    records = [Record(inputs, outputs, CycleTiming(0, 0, 0)) for inputs, outputs in world.records]
+    for start in range(0, len(records), batch or len(records)):
+        session.write(records[start : start + (batch or len(records))])
     session.close()
     return session.folder
 

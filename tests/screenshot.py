@@ -13,6 +13,8 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
+from gateway.recorder_disk import segments
+
 SIZE = "1600x1000"
 START_S = 30.0
 LOAD_S = 4.0
@@ -26,11 +28,9 @@ def screenshot(session: Path, picture: Path) -> None:
         port = str(probe.getsockname()[1])
     program = Path(sysconfig.get_path("purelib")) / "rerun_cli" / "rerun"
     options = ["--headless", "--hide-welcome-screen", "--bind", "127.0.0.1", "--port", port, "--window-size", SIZE]
-    segments = sorted(str(path) for path in session.glob("segment-*.rrd")) if session.is_dir() else [str(session)]
+    files = [str(path) for path in segments(session)] if session.is_dir() else [str(session)]
     quiet = {"CI": "1", "RUST_LOG": "error"}  # CI also keeps the viewer's telemetry off
-    viewer = subprocess.Popen(
-        [program, *options, *segments], env=os.environ | quiet | {"VK_ICD_FILENAMES": str(DRIVER)}
-    )
+    viewer = subprocess.Popen([program, *options, *files], env=os.environ | quiet | {"VK_ICD_FILENAMES": str(DRIVER)})
     try:
         client = _connect(f"rerun+http://127.0.0.1:{port}/proxy")
         time.sleep(LOAD_S)

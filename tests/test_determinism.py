@@ -93,7 +93,7 @@ def test_verify_says_what_is_missing(tmp_path: Path) -> None:
     world = play("moby", [])
     del world.records[50:60]
     verdict = verify(open_session(write_drive(tmp_path, world)))
-    assert verdict.exit_code == 2
+    assert verdict.exit_code == 3
     assert verdict.problem == "cycles 50 to 59 are missing from the recording"
     assert verdict.cycles == 50
 

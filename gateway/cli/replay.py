@@ -18,10 +18,9 @@ from replay.player import Direction, Due, Played, is_alive, recorded, recorded_b
 from replay.player import play as play_frames
 from replay.redrive import RedriveError, redrive
 from replay.session import Session, SessionError, open_session
-from replay.verify import Verdict
+from replay.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
 from replay.verify import verify as run_verify
 
-EXIT_NOT_REPLAYABLE = 2
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
 
 replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True)
@@ -37,12 +36,21 @@ def verify(
     session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
     json: Annotated[bool, typer.Option("--json", help="Machine-readable verdict.")] = False,
 ) -> None:
-    """Run the recorded inputs through the same core: would it do the same again? Exit 0 yes, 1 no, 2 cannot tell."""
+    """Run the recorded inputs through the same core: would it do the same again?
+
+    Exit 0: identical, and the recording is provably complete. Exit 1: different, complete or not. Exit 2: it cannot be
+    replayed at all (no session, no cycles, no beginning, a robot file that is refused). Exit 3: identical as far as it
+    goes, but the recording is incomplete: cycles lost or cut out, a segment unclosed, missing or damaged, the end
+    missing, or the beginning deleted by recording.disk_budget or min_free (then nothing is compared).
+
+    --json: identical (true with exit 0 only), complete, cycles and frames compared, realtime_ratio, first_difference
+    (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or null), exit_code.
+    """
     try:
         verdict = verify_with_progress(open_session(session))
     except (SessionError, ValueError) as error:
         if json:
-            print_json({"identical": False, "problem": str(error)})
+            print_json(not_replayable(str(error)).as_json())
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
@@ -69,19 +77,29 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
 
     Recorded commands move motors as they did then, without any of the checks of a running gateway. So a bus on which
     anybody talks is refused, and so are commands on an interface that is not vcan or vxcan, unless --live is given.
-    Exit 0 if every frame was sent, 1 if not, 2 if nothing was played.
+    Exit 0 if every frame was sent, 1 if not, 2 if nothing was played, 3 if every frame was sent of a recording that is
+    incomplete.
     """
     try:
-        frames = _chosen(open_session(session), bus, only)
+        opened = open_session(session)
+        frames = _chosen(opened, bus, only)
         played = _played(frames, interface, channel, speed, live=live)
     except (SessionError, can.CanError, OSError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
-        print_json(played.as_json())
+        print_json(played.as_json() | {"complete": opened.complete})
     else:
         _show_played(played, channel)
-    raise typer.Exit(1 if played.not_sent else 0)
+    raise typer.Exit(1 if played.not_sent else _exit_of(opened))
+
+
+def _exit_of(session: Session) -> int:
+    """After a success; says what is missing from the recording."""
+    if session.problem is None:
+        return 0
+    complain(f"{session.path}: incomplete: {session.problem}")
+    return EXIT_INCOMPLETE
 
 
 def _chosen(session: Session, bus: str | None, only: Direction | None) -> list[Due]:
@@ -129,21 +147,23 @@ def run(
     """Give the recorded commands again, to a live service with the simulated robot on this bus, and compare the drives.
 
     Alike is: the ends within 0.05 m + 2 % of the path and 0.05 rad, the paths within 0.10 m + 2 %, each wheel's speed
-    within 3 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible.
+    within 3 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible,
+    3 alike as far as the recording goes, which is incomplete.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        found = redrive(open_session(session), channel=channel, out=out, tick_ms=tick)
+        opened = open_session(session)
+        found = redrive(opened, channel=channel, out=out, tick_ms=tick)
     except (SessionError, RedriveError, ConfigError, LinkError, OSError) as error:
         if json:
             print_json({"similar": False, "problem": str(error)})
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
-        print_json(found.as_json())
+        print_json(found.as_json() | {"complete": opened.complete})
     else:
         _show_comparison(found)
-    raise typer.Exit(1 if found.reasons else 0)
+    raise typer.Exit(1 if found.reasons else _exit_of(opened))
 
 
 def _show_comparison(found: Comparison) -> None:
@@ -177,5 +197,10 @@ def show(verdict: Verdict) -> None:
         console.print(f"  recorded {difference.recorded}\n  replayed {difference.replayed}", highlight=False)
     elif verdict.identical:
         console.print(f"[green]identical[/]: {covered}")
+    elif verdict.exit_code == EXIT_INCOMPLETE:
+        compared = f"identical as far as it goes ({covered})" if verdict.cycles else "nothing could be compared"
+        console.print(f"[yellow]incomplete[/]: {compared}", highlight=False)
     else:
-        console.print(f"[yellow]not replayable to the end[/]: {verdict.problem} ({covered} were identical)")
+        console.print("[yellow]not replayable[/]: nothing could be compared")
+    if verdict.problem is not None:
+        console.print(f"  the recording: {verdict.problem}", highlight=False)

@@ -279,6 +279,11 @@ def test_marked_and_unmarked_gaps(tmp_path: Path) -> None:
     assert list(session.cycles()) == expected(kept)
 
 
+def test_a_session_begins_with_cycle_0(tmp_path: Path) -> None:
+    session = open_session(write(tmp_path, list(drive(5, first=30))))
+    assert session.gaps == (Gap(0, 29, "not in the recording"),)
+
+
 def test_a_session_of_nothing_but_a_gap(tmp_path: Path) -> None:
     session = writer(tmp_path)
     session.write((), [Gap(0, 9, "full")])
@@ -395,10 +400,10 @@ def test_rerun_itself_reads_the_same_rows(tmp_path: Path) -> None:
 def test_repair_leaves_a_file_that_the_viewer_opens(tmp_path: Path) -> None:
     path = write(tmp_path, list(drive(40)), batch=20) / "segment-00001.rrd"
     data = path.read_bytes()
-    cut_at = message_ends(data)[-1] - 1
+    cut_at = message_ends(data)[-2] - 1  # behind the last rows is the seal
     path.write_bytes(data[:cut_at])
     cut = repair(path, tmp_path / "repaired.rrd")
-    assert cut == (len(message_ends(data)) - 1, 0, cut_at - message_ends(data)[-2])
+    assert cut == (len(message_ends(data)) - 2, 0, cut_at - message_ends(data)[-3])
     assert len(list(open_session(tmp_path / "repaired.rrd").cycles())) == 20
 
 
