@@ -42,6 +42,7 @@ DETECTORS: dict[FaultKind, Callable[[Limits], Detector]] = {
     FaultKind.STALL: detectors.StallDetector,
     FaultKind.FOLLOWING: detectors.FollowingDetector,
 }
+STILL_BRAKING = frozenset({FaultKind.STALL, FaultKind.FOLLOWING})  # not to be driven, but on a slope it must hold
 BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN})  # a controller that misreads its shaft cannot even brake it
 
 
@@ -126,7 +127,7 @@ class HealthMonitor:
                 fault = self._reported(index, motor, energised=energised)
             if fault is not None:
                 present.append(fault)
-                if energised:
+                if energised and fault.kind not in STILL_BRAKING:
                     self._lost.add(index)
         if not (present or others or self._latched or self._lost or self._away):
             return self._well

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from gateway.config import parse
 from gateway.reporter import MAX_KINDS, REPEAT_NS, Reporter
-from gateway.types import Event, Inputs, Mode, Refusal, RefusalCode, Reply
+from gateway.types import Event, Inputs, Mode, Refusal, RefusalCode, Reply, Request, RequestKind
 
 ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy
 
@@ -14,8 +14,9 @@ def _reporter() -> Reporter:
 
 
 def _told(reporter: Reporter, *refusals: Refusal, now_ns: int = 0, replies: tuple[Reply, ...] = ()) -> list[Event]:
-    inputs = Inputs(0, now_ns, refusals=refusals)
-    return list(reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=replies))
+    requests = tuple(Request(RequestKind.RESET, reply.id, now_ns) for reply in replies)
+    inputs = Inputs(0, now_ns, refusals=refusals, requests=requests)
+    return list(reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=replies, slipping=False))
 
 
 def _refusal(source: str, code: RefusalCode = RefusalCode.UNKNOWN_SOURCE) -> Refusal:
