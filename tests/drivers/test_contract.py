@@ -311,6 +311,7 @@ def test_ids_of_two_drivers_on_one_bus(variant: str, node: int, motor: int, shar
     first, second = DRIVERS["odrive"](BUS, [spec(variant, id=node)]), DRIVERS["dji"](BUS, [spec("c620", id=motor)])
     conflicts = id_conflicts([first.ids(), second.ids()])
     assert any(conflict.startswith(shared) for conflict in conflicts) if shared else conflicts == []
+    assert len(id_conflicts([second.ids(), first.ids()])) == len(conflicts)
 
 
 WILD = (math.nan, math.inf, -math.inf, 0.0, -1.0, 5e-324, 1e-300, 1e300)

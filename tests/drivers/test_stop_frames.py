@@ -106,8 +106,8 @@ def test_braking_is_no_coasting() -> None:
     assert abs(shop.shaft.velocity) < 2.0
 
 
-def dji(*, rpm: int, at: int = 0) -> DjiDriver:
-    driver = DjiDriver(BUS, [spec("c620", id=1)._replace(max_speed=900.0)])
+def dji(*, rpm: int, at: int = 0, command_rate: float = 250.0) -> DjiDriver:
+    driver = DjiDriver(BUS, [spec("c620", id=1)._replace(max_speed=900.0, command_rate=command_rate)])
     assert driver.receive(CanFrame(BUS, 0x201, pack(">HhhBB", 0, rpm, 0, 30, 0), received_ns=at))
     return driver
 
@@ -142,3 +142,7 @@ def test_what_is_held_for_long_or_measured_long_ago_brakes_less(held_ns: int) ->
     driver.command([MotorCommand(CommandKind.TORQUE, 0.0)], now_ns=0)
     driver.receive(CanFrame(BUS, 0x201, pack(">HhhBB", 0, 1000, 0, 30, 0), received_ns=held_ns))
     assert braking(driver, held_ns) == pytest.approx(full * FULL_BRAKING_NS / held_ns, abs=1)
+
+
+def test_a_slow_loop_brakes_less_from_its_first_frame_on() -> None:
+    assert braking(dji(rpm=1000, command_rate=50.0), MS) == pytest.approx(braking(dji(rpm=1000), MS) / 4, abs=1)

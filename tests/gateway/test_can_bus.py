@@ -272,6 +272,17 @@ def test_whatever_opening_and_closing_raise_is_survived(bench: Bench, error: Exc
     assert bench.bus.closed
 
 
+def test_a_bus_that_fails_half_opened_is_closed(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
+    monkeypatch.setattr(ScriptedBus, "set_filters", lambda *_: 1 // 0)
+    assert bench.cycle()[1] == [BusEventKind.DOWN]
+    assert bench.bus.closed
+    bench.edge.close()
+
+
 def test_the_words_of_the_adapter_are_told(bench: Bench) -> None:
     bench.bus.inbox.append(WILD[0])
     _, events = bench.edge.receive(bench.now_ns)
