@@ -1,15 +1,36 @@
 """Checks that every driver makes of the motors it is given, and the one rule for when feedback is too old."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+from math import inf
+from typing import NamedTuple
 
-from drivers.interface import MotorSpec
+from drivers.interface import IdUse, MotorSpec
 
 MIN_FEEDBACK_TIMEOUT_NS = 50_000_000
 FEEDBACK_TIMEOUT_PERIODS = 5
+SLOWEST_FEEDBACK_HZ = 10.0  # five periods are 0.5 s; a motor that is silent for longer must have been given up
+FASTEST_FEEDBACK_HZ = 1000.0
+WATCHDOG_PERIODS = 3.0  # of the loop: one frame may be lost and the next one late
+LONGEST_WATCHDOG_S = 1.0
+
+STANDARD_IDS = 0x7FF
+EXTENDED_IDS = 0x1FFF_FFFF
+
+
+class Bound(NamedTuple):
+    """The range of one number of a motor that a protocol can work with, and why."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    why: str
 
 
 def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range) -> None:
-    """Raise ValueError for no motor, an unknown variant, an id out of range or one given twice."""
+    """Raise ValueError for no motor, an unknown variant, an id out of range or given twice, a number out of range."""
     if not motors:
         raise ValueError(f"driver {driver}: needs at least one motor")
     owners: dict[int, str] = {}
@@ -22,8 +43,53 @@ def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[
         if motor.id in owners:
             raise ValueError(f"motor {motor.name}: id = {motor.id}: already the id of motor {owners[motor.id]}")
         owners[motor.id] = motor.name
+        check_bounds(motor, _common_bounds(motor))
+
+
+def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
+    """Raise ValueError for the first number out of its range; NaN is in none."""
+    for key, value, low, high, unit, why in bounds:
+        if not low <= value <= high:
+            raise ValueError(f"motor {motor.name}: {key} = {value:.6g}: must be {_range(low, high, unit)}: {why}")
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    return f"at least {low:.6g} {unit}" if high == inf else f"{low:.6g} to {high:.6g} {unit}"
+
+
+def _common_bounds(motor: MotorSpec) -> list[Bound]:
+    periods = FEEDBACK_TIMEOUT_PERIODS
+    silence = f"a motor counts as silent after {periods} periods, and must by {periods / SLOWEST_FEEDBACK_HZ:g} s"
+    bounds = [
+        # The least numbers only keep the arithmetic of the wire away from denormals.
+        Bound("max_speed", motor.max_speed, 1e-6, 1e9, "rad/s at the motor shaft", "a motor that can turn"),
+        Bound("max_torque", motor.max_torque, 1e-9, 1e9, "N m at the motor shaft", "a motor that can push"),
+        Bound("max_current", motor.max_current, 1e-3, 1e6, "A", "a motor that can push"),
+        Bound("feedback_rate", motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ, "Hz", silence),
+    ]
+    if motor.watchdog is not None:
+        why = f"{WATCHDOG_PERIODS:g} periods of loop.rate = {motor.command_rate:g} Hz, so that a lost frame is survived"
+        shortest = WATCHDOG_PERIODS / motor.command_rate
+        bounds.append(Bound("watchdog.timeout", motor.watchdog.timeout_s, shortest, LONGEST_WATCHDOG_S, "s", why))
+    return bounds
 
 
 def feedback_timeout_ns(rate_hz: float) -> int:
     """Age at which a measurement that should come at this rate counts as missing."""
     return max(MIN_FEEDBACK_TIMEOUT_NS, int(FEEDBACK_TIMEOUT_PERIODS * 1e9 / rate_hz))
+
+
+def id_conflicts(drivers: Sequence[Sequence[IdUse]]) -> list[str]:
+    """In words, every id that two drivers of one bus would both use. One driver may use its own ids as it likes."""
+    return [
+        f"{_use(one)} and {_use(other)} share CAN ids: give one of them another id, or a bus of its own"
+        for first, second in combinations(drivers, 2)
+        for one in first
+        for other in second
+        if one.extended == other.extended and not (one.id ^ other.id) & one.mask & other.mask
+    ]
+
+
+def _use(use: IdUse) -> str:
+    last = use.id | ~use.mask & (EXTENDED_IDS if use.extended else STANDARD_IDS)
+    return f"{use.user} (0x{use.id:X})" if last == use.id else f"{use.user} (0x{use.id:X} to 0x{last:X})"

@@ -7,20 +7,25 @@ unused one with 0. So there must be one writer per command id: this driver, and 
 arming, no error report and no command timeout on CAN; whether a controller holds its last command when the host
 falls silent is not documented, so assume that it does. A motor that is not heard gets current 0.
 
+Braking without the host's speed loop (`stop_frames`) is a current against the measured speed, in proportion to it: it
+fades as the motor comes to rest, and is 0 where the speed is unknown or too small to have a sign. A controller may
+hold it until the next frame, so the longer it may be held or the older the measurement is, the weaker it is.
+
 Rotor side throughout: the angle, speed and torque are those of the motor shaft before its gearbox.
 """
 
 from collections.abc import Sequence
-from math import isnan, tau
+from math import ceil, isnan, pi, tau
 from struct import Struct
 from typing import ClassVar, NamedTuple
 
-from drivers.checks import check_specs, feedback_timeout_ns
+from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_specs, feedback_timeout_ns
 from drivers.interface import (
     CanFrame,
     Capabilities,
     CommandKind,
     DecodedFrame,
+    IdUse,
     MotorCommand,
     MotorFeedback,
     MotorSpec,
@@ -34,10 +39,18 @@ FEEDBACK_ID = 0x200  # + id; same manual, p. 9
 MOTORS_PER_FRAME = 4
 IDS = range(1, 9)
 
+AUTO_ID = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
+
 TICKS = 8192  # per turn of the rotor; same manual, p. 9
 RAD_PER_TICK = tau / TICKS
 RAD_S_PER_RPM = tau / 60.0
 TICKS_PER_RPM_NS = TICKS / 60e9
+
+SPEED_DOUBT = 0.1  # of max_speed: how far the mean speed between two frames may be from the mean of their two speeds
+FULL_BRAKING = 0.25  # of max_speed: from there on all of the current that is allowed brakes
+REST = 0.002  # of max_speed: below it nothing brakes
+MIN_REST_RPM = 2  # the speed is told in whole rpm, so that of 1 has no sure sign
+FULL_BRAKING_NS = 5_000_000  # a current held for longer could turn a wheel that touches nothing the other way round
 
 _TORQUE, _COAST = CommandKind.TORQUE, CommandKind.COAST
 _COMMAND = Struct(">4h")  # current raw of four motors
@@ -67,12 +80,15 @@ class _Motor:
 
     __slots__ = (
         "angle_ticks",
+        "braking_raw_per_rpm",
+        "command_period_ns",
         "commanded",
         "current_raw",
         "heard_ns",
         "heard_until_ns",
         "raw_limit",
         "raw_per_torque",
+        "rest_rpm",
         "slot",
         "spec",
         "speed_rpm",
@@ -90,6 +106,10 @@ class _Motor:
         self.raw_per_torque = variant.raw_per_ampere / variant.torque_constant
         ampere = min(spec.max_current, spec.max_torque / variant.torque_constant)
         self.raw_limit = min(variant.raw_limit, int(ampere * variant.raw_per_ampere))
+        max_rpm = spec.max_speed / RAD_S_PER_RPM
+        self.braking_raw_per_rpm = self.raw_limit / (FULL_BRAKING * max_rpm)
+        self.command_period_ns = int(1e9 / spec.command_rate)
+        self.rest_rpm = max(MIN_REST_RPM, REST * max_rpm)
         self.timeout_ns = feedback_timeout_ns(spec.feedback_rate)
         self.commanded = False
         self.heard_ns: int | None = None
@@ -101,10 +121,11 @@ class _Motor:
         self.temperature_c: float | None = None
 
     def take(self, data: bytes, received_ns: int) -> bool:
-        """A feedback frame; False for an angle that no encoder of these has."""
-        angle_ticks, speed_rpm, current_raw, temperature = _FEEDBACK.unpack_from(data)
-        if angle_ticks >= TICKS:
+        """A feedback frame; False for one that no controller sends."""
+        values = _feedback_values(data)
+        if values is None:
             return False
+        angle_ticks, speed_rpm, current_raw, temperature = values
         if self.heard_ns is None:
             self.total_ticks = angle_ticks
         else:
@@ -122,7 +143,16 @@ class _Motor:
 
     def raw(self, torque: float) -> int:
         """Current for a torque, within all limits."""
-        wanted = torque * self.raw_per_torque
+        return self._limited(torque * self.raw_per_torque)
+
+    def braking_raw(self, held_ns: int, now_ns: int) -> int:
+        """Current against the measured speed; `held_ns`: how long the last frame was, and so the next one may be."""
+        if now_ns >= self.heard_until_ns or self.heard_ns is None or abs(self.speed_rpm) < self.rest_rpm:
+            return 0
+        longest_ns = max(self.command_period_ns, held_ns, now_ns - self.heard_ns, FULL_BRAKING_NS)
+        return self._limited(-self.speed_rpm * self.braking_raw_per_rpm * FULL_BRAKING_NS / longest_ns)
+
+    def _limited(self, wanted: float) -> int:
         limit = self.raw_limit
         return limit if wanted >= limit else -limit if wanted <= -limit else round(wanted)
 
@@ -146,7 +176,7 @@ class _Motor:
 class DjiDriver:
     """The C620 and C610 controllers of one bus."""
 
-    __slots__ = ("_bus", "_by_id", "_command_frames", "_motors", "_names", "_zero_frames")
+    __slots__ = ("_bus", "_by_id", "_command_frames", "_motors", "_names", "_sent_ns", "_zero_frames")
 
     variants: ClassVar[tuple[str, ...]] = tuple(VARIANTS)
 
@@ -155,8 +185,11 @@ class DjiDriver:
         for motor in motors:
             if motor.watchdog is not None:
                 raise ValueError(f"motor {motor.name}: watchdog: a {motor.variant} has none; give watchdog_waiver")
+            check_bounds(motor, _turn_bounds(motor))
         self._bus = bus
         self._motors = tuple(_Motor(motor) for motor in motors)
+        _check_torque(self._motors)
+        self._sent_ns: int | None = None
         self._names = {motor.spec.id: motor.spec.name for motor in self._motors}
         self._by_id = {FEEDBACK_ID + motor.spec.id: motor for motor in self._motors}
         used = sorted({motor.slot // MOTORS_PER_FRAME for motor in self._motors})
@@ -174,7 +207,7 @@ class DjiDriver:
         motor = self._by_id.get(identifier)
         if motor is None or received_ns is None or extended or remote or bus != self._bus:
             return False
-        return len(data) >= _FEEDBACK.size and motor.take(data, received_ns)
+        return motor.take(data, received_ns)
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """The command frames; a motor that is not heard gets current 0."""
@@ -186,10 +219,7 @@ class DjiDriver:
             motor.commanded = torque
             if torque and now_ns < motor.heard_until_ns:
                 raws[motor.slot] = motor.raw(value)
-        return [
-            CanFrame(self._bus, identifier, _COMMAND.pack(*raws[first : first + MOTORS_PER_FRAME]))
-            for identifier, first in self._command_frames
-        ]
+        return self._frames(raws, now_ns)
 
     def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
         """The latest measurement and state of each motor. There are no faults: the controllers report none."""
@@ -202,13 +232,17 @@ class DjiDriver:
         """Current 0 for every motor."""
         return list(self._zero_frames)
 
-    def stop_frames(self) -> list[CanFrame]:
-        """Current 0: any braking current needs the sign of the speed, and would drive a motor once it stands."""
-        return list(self._zero_frames)
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
+        """A braking current against the measured speed of each motor; 0 where it is not known, or stands."""
+        held_ns = 0 if self._sent_ns is None else now_ns - self._sent_ns
+        raws = [0] * len(IDS)
+        for motor in self._motors:
+            raws[motor.slot] = motor.braking_raw(held_ns, now_ns)
+        return self._frames(raws, now_ns)
 
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
-        """A sent or received frame in words, or None when it is not of these motors."""
-        if frame.bus != self._bus or frame.extended or frame.remote or len(frame.data) < _FEEDBACK.size:
+        """A sent or received frame in words, or None when it is not of these motors, too short or impossible."""
+        if frame.bus != self._bus or frame.extended or frame.remote or len(frame.data) < _COMMAND.size:
             return None
         for identifier, first in self._command_frames:
             if frame.id == identifier:
@@ -219,7 +253,9 @@ class DjiDriver:
         motor = self._by_id.get(frame.id)
         if motor is None:
             return None
-        items = _FEEDBACK.unpack_from(frame.data)
+        items = _feedback_values(frame.data)
+        if items is None:
+            return None
         return DecodedFrame(motor.spec.name, "feedback", tuple(zip(_FEEDBACK_FIELDS, items, strict=True)))
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
@@ -233,6 +269,54 @@ class DjiDriver:
     def receive_filters(self) -> tuple[ReceiveFilter, ...]:
         """The feedback frame of each motor."""
         return tuple(ReceiveFilter(identifier, 0x7FF, extended=False) for identifier in self._by_id)
+
+    def ids(self) -> tuple[IdUse, ...]:
+        """The command frames, the feedback of each motor, and the one frame that would give the controllers new ids."""
+        commands = [
+            (f"dji command of motor {', '.join(self._sharers(first))}", identifier)
+            for identifier, first in self._command_frames
+        ]
+        feedback = [(f"dji feedback of motor {motor.spec.name}", at) for at, motor in self._by_id.items()]
+        uses = (*commands, *feedback, ("dji setting of ids", AUTO_ID))
+        return tuple(IdUse(user, identifier, 0x7FF, extended=False) for user, identifier in uses)
+
+    def _sharers(self, first: int) -> list[str]:
+        """Names of the motors in the command frame that begins with this slot."""
+        return [motor.spec.name for motor in self._motors if first <= motor.slot < first + MOTORS_PER_FRAME]
+
+    def _frames(self, raws: Sequence[int], now_ns: int) -> list[CanFrame]:
+        self._sent_ns = now_ns
+        return [
+            CanFrame(self._bus, identifier, _COMMAND.pack(*raws[first : first + MOTORS_PER_FRAME]))
+            for identifier, first in self._command_frames
+        ]
+
+
+def _feedback_values(data: bytes) -> tuple[int, int, int, int] | None:
+    """Angle in ticks, speed in rpm, raw current, temperature; None for what no controller sends."""
+    if len(data) < _FEEDBACK.size:
+        return None
+    angle_ticks, speed_rpm, current_raw, temperature = _FEEDBACK.unpack_from(data)
+    return None if angle_ticks >= TICKS else (angle_ticks, speed_rpm, current_raw, temperature)
+
+
+def _check_torque(motors: Sequence[_Motor]) -> None:
+    for motor in motors:
+        if motor.raw_limit < 1:
+            step = f"{1e3 / motor.variant.raw_per_ampere:.2g} mA"
+            raise ValueError(f"motor {motor.spec.name}: max_current or max_torque allows less than {step}, one step")
+
+
+def _turn_bounds(motor: MotorSpec) -> list[Bound]:
+    """The angle is known within a turn only: between two frames the way must be foreseen to half a turn."""
+    doubt = SPEED_DOUBT * motor.max_speed
+    slowest = ceil(10.0 * doubt / pi) / 10.0
+    top = f"max_speed times gear_ratio is {motor.max_speed:.0f} rad/s"
+    why = f"the rotor's turns are counted from its angle and speed, and {top}"
+    return [
+        Bound("max_speed", motor.max_speed, 0.0, FASTEST_FEEDBACK_HZ * pi / SPEED_DOUBT, "rad/s at the rotor", why),
+        Bound("feedback_rate", motor.feedback_rate, slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
+    ]
 
 
 def _moved_ticks(difference: int, expected: float) -> int:

@@ -76,6 +76,7 @@ class MotorFeedback(NamedTuple):
     temperature_c: float | None = None
     fault: DriverFault | None = None
     age_ns: int | None = None  # since the last position/velocity measurement
+    silence: str | None = None  # of a SILENT motor that is heard in part: what is missing and what turns it on
 
 
 class Capabilities(NamedTuple):
@@ -110,6 +111,7 @@ class MotorSpec(NamedTuple):
     max_torque: float  # N m
     max_current: float  # A
     feedback_rate: float  # Hz, as configured in the controller
+    command_rate: float  # Hz, at which `command` is called
     watchdog: Watchdog | None  # None: waived in the robot file, with the reason there
 
 
@@ -125,6 +127,15 @@ class Traffic(NamedTuple):
 class ReceiveFilter(NamedTuple):
     """Frames whose id equals `id` where `mask` has ones; what no filter of a bus lets pass, its driver need not see."""
 
+    id: int
+    mask: int
+    extended: bool
+
+
+class IdUse(NamedTuple):
+    """Ids that mean something to one user: those equal to `id` where `mask` has ones. `user`: who, in words."""
+
+    user: str
     id: int
     mask: int
     extended: bool
@@ -172,12 +183,18 @@ class Driver(Protocol):
         """Frames that release every motor; valid in any state."""
         ...
 
-    def stop_frames(self) -> list[CanFrame]:
-        """Frames that bring every motor to rest as well as the protocol can without feedback; valid in any state."""
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
+        """Frames that brake every motor now; sent again and again they bring it to rest. Valid in any state.
+
+        They never drive a motor that stands, and ask nothing of one whose motion is not known.
+        """
         ...
 
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
-        """A sent or received frame in words, or None when it is not of this driver."""
+        """A sent or received frame in words, or None when it is not of this driver.
+
+        Nor is what `receive` refuses: a short or impossible message is not shown as a measurement.
+        """
         ...
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
@@ -188,6 +205,10 @@ class Driver(Protocol):
         """At least every frame that `receive` may take; the kernel keeps the rest of a busy bus away."""
         ...
 
+    def ids(self) -> tuple[IdUse, ...]:
+        """Every id that this driver or its controllers send or listen to: nobody else on the bus may use them."""
+        ...
+
 
 class DriverType(Protocol):
     """Makes the driver of one group: the value type of the registry `drivers.DRIVERS`."""
@@ -195,5 +216,5 @@ class DriverType(Protocol):
     variants: tuple[str, ...]
 
     def __call__(self, bus: str, motors: Sequence[MotorSpec]) -> Driver:
-        """Build the driver. Raises ValueError naming the motor and the allowed range (ids, variants)."""
+        """Build the driver. Raises ValueError naming motor, key, value, allowed range and why."""
         ...

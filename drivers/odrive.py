@@ -15,6 +15,7 @@ from drivers.interface import (
     Capabilities,
     CommandKind,
     DecodedFrame,
+    IdUse,
     MotorCommand,
     MotorFeedback,
     MotorSpec,
@@ -28,6 +29,7 @@ from drivers.odrive_firmware import FIRMWARES
 from drivers.odrive_tables import AxisState, Control
 
 NODES = range(63)  # 0x3F is the address of controllers that have none yet
+NODE_MASK = 0x7FF & ~tables.COMMAND_MASK
 HEARTBEAT_RATE_HZ = 10.0  # firmware default
 
 CONTROLS: dict[CommandKind, Control | None] = {
@@ -119,21 +121,22 @@ class OdriveDriver:
             frames += (axis.frame(tables.SET_AXIS_STATE, AxisState.IDLE), axis.zero_frame)
         return frames
 
-    def stop_frames(self) -> list[CanFrame]:
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
         """Velocity 0: an axis in velocity control brakes, in torque control it gets torque 0; IDLE ones stay so."""
         return [axis.zero_frame for axis in self._axes]
 
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
-        """A sent or received frame in words, or None when it is not of these axes."""
+        """A sent or received frame in words, or None when it is not of these axes or too short."""
         axis = self._by_node.get(frame.id >> tables.NODE_SHIFT)
         if axis is None or frame.extended or frame.bus != self._bus:
             return None
         command = frame.id & tables.COMMAND_MASK
-        message = axis.firmware.to_device.get(command) or axis.firmware.from_device.get(command)
+        asked = axis.firmware.from_device.get(command)
+        if frame.remote:
+            return None if asked is None else DecodedFrame(axis.spec.name, f"{asked.name} request", ())
+        message = asked or axis.firmware.to_device.get(command)
         if message is None:
             return None
-        if frame.remote:
-            return DecodedFrame(axis.spec.name, f"{message.name} request", ())
         values = message.values(frame.data)
         return None if values is None else DecodedFrame(axis.spec.name, message.name, values)
 
@@ -151,8 +154,14 @@ class OdriveDriver:
 
     def receive_filters(self) -> tuple[ReceiveFilter, ...]:
         """Every message of these axes, also what another host sends to them."""
-        mask = 0x7FF & ~tables.COMMAND_MASK
-        return tuple(ReceiveFilter(node << tables.NODE_SHIFT, mask, extended=False) for node in self._by_node)
+        return tuple(ReceiveFilter(node << tables.NODE_SHIFT, NODE_MASK, extended=False) for node in self._by_node)
+
+    def ids(self) -> tuple[IdUse, ...]:
+        """Every message of each node: what is not in use by us would still mean something to the controller."""
+        return tuple(
+            IdUse(f"odrive node {node} of motor {axis.spec.name}", node << tables.NODE_SHIFT, NODE_MASK, extended=False)
+            for node, axis in self._by_node.items()
+        )
 
 
 def _accept(axis: Axis, kind: CommandKind, value: float) -> None:
@@ -171,8 +180,9 @@ def _check_watchdog(motor: MotorSpec) -> None:
 
 
 def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
+    state = _state(axis, now_ns)
     return MotorFeedback(
-        _state(axis, now_ns),
+        state,
         axis.position,
         axis.velocity,
         axis.torque,
@@ -180,6 +190,7 @@ def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
         axis.temperature_c,
         axis.fault,
         None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
+        axis.missing(now_ns) if state is MotorState.SILENT else None,
     )
 
 

@@ -15,6 +15,7 @@ from drivers.odrive_tables import AxisState, Control
 
 REVOLUTION = tau  # rad; the wire counts in revolutions
 HEARTBEAT_TIMEOUT_NS = 300_000_000  # three of the default cyclic messages of 100 ms
+ESTIMATES_SETTLE_NS = 50_000_000  # an estimate may have waited for the bus while the heartbeat overtook it
 
 _PACK_VELOCITY = tables.COMMON_TO_DEVICE[tables.SET_INPUT_VEL].layout.pack
 _PACK_TORQUE = tables.COMMON_TO_DEVICE[tables.SET_INPUT_TORQUE].layout.pack
@@ -57,6 +58,7 @@ class Axis:
         "axis_state",
         "booting",
         "bus",
+        "closed_ns",
         "configured",
         "control",
         "enable_read",
@@ -102,6 +104,7 @@ class Axis:
         self.errors = 0
         self.result = 0
         self.booting = False
+        self.closed_ns: int | None = None  # first heartbeat of this closed loop
         self.version: str | None = None
         self.timeout_read: float | None = None
         self.enable_read: bool | None = None
@@ -229,6 +232,10 @@ class Axis:
         if self.step not in FAILED:
             self._check(axis_state)
         self.axis_state = axis_state
+        if axis_state != AxisState.CLOSED_LOOP:
+            self.closed_ns = None
+        elif self.closed_ns is None:
+            self.closed_ns = received_ns
 
     def _check(self, axis_state: int) -> None:
         if self.errors == self.firmware.host_silent:
@@ -251,6 +258,21 @@ class Axis:
             self.fault = self.device_fault()._replace(latched=False)
             self.enter(Step.READY)
 
+    def missing(self, now_ns: int) -> str | None:
+        """Which of the two cyclic messages is missing while the other arrives, and the setting that turns it on."""
+        heartbeat, estimates = now_ns < self.heartbeat_until_ns, now_ns < self.measured_until_ns
+        if heartbeat == estimates:
+            return None
+        if heartbeat:
+            name, setting, last_ns = "Get_Encoder_Estimates", self.firmware.estimates_setting, self.measured_ns
+            rate = f"set {setting} to {max(1, int(1e3 / self.spec.feedback_rate))} (ms)"
+        else:
+            name, setting, last_ns = "Heartbeat", self.firmware.heartbeat_setting, self.heartbeat_ns
+            rate = f"set {setting} to 100 (ms)"
+        other = "estimates" if estimates else "heartbeats"
+        since = "never came" if last_ns is None else f"has not come for {max(0, now_ns - last_ns) * 1e-9:.2f} s"
+        return f"{other} arrive, but {name} {since}: {rate} in the controller"
+
     def result_words(self) -> str:
         """Outcome of the last procedure, where the heartbeat tells one."""
         result = self.firmware.results.get(self.result)
@@ -260,10 +282,20 @@ class Axis:
         position, velocity = items
         if not isfinite(position + velocity):  # two f32 cannot overflow a double, so this asks both
             return
-        self.position = position * REVOLUTION
-        self.velocity = velocity * REVOLUTION
         self.measured_ns = received_ns
         self.measured_until_ns = received_ns + self.measured_timeout_ns
+        if position == velocity == 0.0 and not self._measures(received_ns):
+            self.position = self.velocity = None
+            return
+        self.position = position * REVOLUTION
+        self.velocity = velocity * REVOLUTION
+
+    def _measures(self, now_ns: int) -> bool:
+        """Whether an estimate of exactly zero is measured, and no placeholder from before the first closed loop."""
+        if not self.firmware.zero_until_closed_loop:
+            return True
+        closed_ns = self.closed_ns if now_ns < self.heartbeat_until_ns else None
+        return closed_ns is not None and now_ns - closed_ns >= ESTIMATES_SETTLE_NS
 
     def _take_version(self, items: tuple[Any, ...], _received_ns: int) -> None:
         major, minor, revision, unreleased = items[4:]

@@ -180,6 +180,9 @@ class Firmware(NamedTuple):
     results: Mapping[int, str]
     reasons: Mapping[int, Reason]
     tells_version: bool  # and has parameters that can be written and read back over CAN
+    zero_until_closed_loop: bool  # estimates are exactly 0 from boot to the first closed loop, then jump to the truth
+    estimates_setting: str  # of the controller: how often it sends them, in ms
+    heartbeat_setting: str
 
 
 FIRMWARES: dict[str, Firmware] = {
@@ -197,6 +200,9 @@ FIRMWARES: dict[str, Firmware] = {
             0x1D: Reason("controller", 0, CONTROLLER_ERRORS_05),
         },
         tells_version=False,
+        zero_until_closed_loop=True,
+        estimates_setting="axis.config.can.encoder_rate_ms",
+        heartbeat_setting="axis.config.can.heartbeat_rate_ms",
     ),
     "0.6": Firmware(
         to_device=tables.TO_DEVICE_06,
@@ -208,6 +214,9 @@ FIRMWARES: dict[str, Firmware] = {
         results=PROCEDURE_RESULTS_06,
         reasons={0x03: Reason("disarm reason", 1, ERRORS_06)},
         tells_version=True,
+        zero_until_closed_loop=False,
+        estimates_setting="axis.config.can.encoder_msg_rate_ms",
+        heartbeat_setting="axis.config.can.heartbeat_msg_rate_ms",
     ),
 }
 

@@ -4,11 +4,15 @@ How this works
 --------------
 A frame that cannot be sent in its cycle is dropped and counted: stale setpoints must not pile up in a queue and drive
 the robot once the cable is back. For the same reason the socket's send buffer is kept at about two cycles of frames.
-A bus that fails (interface missing, down, deleted, bus-off, queue stuck) is reported DOWN once, and UP when it works
-again: frames of a whole cycle could be sent if sending was what failed, else any frame passes. A socket of a deleted
-interface stays dead for ever and is reopened every half second, one whose interface is only down comes back by itself
-(measured). Whether the robot may move then is for the core to say. On SocketCAN the kernel lets pass only what a
-driver wants to hear, and error frames: foreign traffic costs the loop nothing.
+A bus that fails (interface missing, down, deleted, bus-off, queue stuck, an adapter that raises whatever it likes) is
+reported DOWN once, and UP when it works again: frames of a whole cycle could be sent if sending was what failed, else
+any frame passes. A socket of a deleted interface stays dead for ever and is reopened every half second, one whose
+interface is only down comes back by itself (measured). Whether the robot may move then is for the core to say. On
+SocketCAN the kernel lets pass only what a driver wants to hear, and error frames: foreign traffic costs the loop
+nothing.
+
+Stamps are trusted of SocketCAN only: those of other adapters count from their own start, or drift; their frames get
+the time of the cycle in which they are taken. A message that no classic bus can carry is dropped and counted.
 """
 
 import errno
@@ -23,6 +27,7 @@ from typing import Protocol
 import can
 
 from drivers.interface import CanFrame, ReceiveFilter
+from gateway.can_adapter import AdapterError, ask, epoch_ns, flaw, frame_of, message_of
 from gateway.can_errors import meanings
 from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.exclusive import Claims, InUseError
@@ -33,7 +38,8 @@ logger = logging.getLogger(__name__)
 
 REOPEN_NS = 500_000_000
 STUCK_CYCLES = 25  # cycles in a row in which not every frame could be sent: nobody acknowledges
-MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel
+MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel ...
+SHORTEST_FRAME_BITS = 47  # ... unless a full bus carries more in a period (slow loops): it would never be caught up
 SEND_BUFFER = 8192  # bytes; an skb of one CAN frame counts for about 800, so this holds about ten frames
 
 _INTERFACES = Path("/proc/self/net/dev")  # of the network namespace of this process
@@ -68,7 +74,8 @@ class CanBuses:
         groups = build(config).groups
         try:
             for bus in config.bus:
-                self._channels[bus.name] = _Channel(bus, [group for group in groups if group.bus == bus.name])
+                mine = [group for group in groups if group.bus == bus.name]
+                self._channels[bus.name] = _Channel(bus, mine, rate_hz=config.loop.rate)
         except InUseError:
             self.close()
             raise
@@ -101,10 +108,12 @@ class CanBuses:
 class _Channel:
     """One python-can bus with its failures."""
 
-    def __init__(self, config: Bus, groups: Sequence[Group]) -> None:
+    def __init__(self, config: Bus, groups: Sequence[Group], *, rate_hz: float) -> None:
         commanded = {frame.id for group in groups for frame in group.driver.coast_frames()}
         self.claims = Claims(config.interface, config.channel, commanded)
         self._config = config
+        self._most_frames = max(MAX_FRAMES_PER_DRAIN, round(2.0 * config.bitrate / SHORTEST_FRAME_BITS / rate_hz))
+        self._kernel_stamps = config.interface == "socketcan"
         self._filters = [wanted for group in groups for wanted in group.driver.receive_filters()]
         self._bus: can.BusABC | None = None
         self._events: list[BusEvent] = []
@@ -120,19 +129,19 @@ class _Channel:
         if self._config.interface == "socketcan":
             _check_exists(self._config.channel)  # python-can would leak its socket on a missing interface
         bus = can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
+        self._bus = bus
         raw = getattr(bus, "socket", None)
         if isinstance(raw, socket.socket):
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         if self._config.interface == "socketcan":  # elsewhere python-can filters in Python, and error frames away
             bus.set_filters([_can_filter(wanted) for wanted in self._filters])
-        self._bus = bus
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
             try:
-                bus.shutdown()
-            except (OSError, can.CanError) as error:
+                ask(bus.shutdown)
+            except AdapterError as error:
                 logger.debug("closing %s: %s", self._config.name, error)
 
     def take_events(self) -> list[BusEvent]:
@@ -140,34 +149,34 @@ class _Channel:
         return events
 
     def drain(self, frames: list[CanFrame], now_ns: int) -> None:
-        """Append what arrived, oldest first, with the kernel's stamp converted to the loop's clock."""
+        """Append what arrived, oldest first, stamped in the loop's clock."""
         if self._bus is None and not self._reopen(now_ns):
             return
         offset_ns = time.clock_gettime_ns(time.CLOCK_REALTIME) - time.monotonic_ns()
         try:
-            for _ in range(MAX_FRAMES_PER_DRAIN):
-                message = self._bus.recv(0) if self._bus else None
+            for _ in range(self._most_frames):
+                message = ask(self._bus.recv, 0) if self._bus else None
                 if message is None:
                     return
-                if message.is_error_frame:
+                problem = ask(flaw, message)
+                if problem is not None:
+                    self._event(BusEventKind.RX_MALFORMED, f"dropped: {problem}")
+                elif message.is_error_frame:
                     self._error_frame(message)
-                    continue
-                self._bus_off = self._bus_off and not message.is_rx  # a controller that is bus-off hears nobody
-                self._works()
-                stamp_ns = round(message.timestamp * 1e9) - offset_ns
-                self._stamp_ns = stamp_ns = max(self._stamp_ns, min(stamp_ns, now_ns))
-                frames.append(
-                    CanFrame(
-                        self._config.name,
-                        message.arbitration_id,
-                        bytes(message.data),
-                        message.is_extended_id,
-                        message.is_remote_frame,
-                        stamp_ns,
-                    )
-                )
-        except (OSError, can.CanError) as error:
+                else:
+                    self._bus_off = self._bus_off and not message.is_rx  # a controller that is bus-off hears nobody
+                    self._works()
+                    stamp_ns = self._stamped(message, offset_ns, now_ns)
+                    frames.append(frame_of(message, bus=self._config.name, received_ns=stamp_ns))
+        except AdapterError as error:
             self._fail("receive", error, now_ns)
+
+    def _stamped(self, message: can.Message, offset_ns: int, now_ns: int) -> int:
+        """When a message arrived: never after now, and never before the one before it."""
+        wall_ns = epoch_ns(message) if self._kernel_stamps else None
+        arrived_ns = now_ns if wall_ns is None else min(wall_ns - offset_ns, now_ns)
+        self._stamp_ns = max(self._stamp_ns, arrived_ns)
+        return self._stamp_ns
 
     def send(self, frames: Iterable[CanFrame], now_ns: int) -> None:
         """Send in order; after the first failure the rest of the cycle is dropped."""
@@ -180,15 +189,15 @@ class _Channel:
             return
         for index, frame in enumerate(pending):
             try:
-                bus.send(_message(frame), timeout=0)
-            except (OSError, can.CanError) as error:
+                ask(bus.send, message_of(frame), timeout=0)
+            except AdapterError as error:
                 self._dropped(error, len(pending) - index, now_ns)
                 return
         self._stuck = 0
         self._unsent = False
         self._works()
 
-    def _dropped(self, error: Exception, number: int, now_ns: int) -> None:
+    def _dropped(self, error: AdapterError, number: int, now_ns: int) -> None:
         self._event(BusEventKind.TX_DROPPED, f"not sent: {error}", number)
         self._unsent = True
         self._stuck += 1
@@ -197,9 +206,9 @@ class _Channel:
         elif self._stuck >= STUCK_CYCLES:
             self._mark_down(f"send queue full for {STUCK_CYCLES} cycles: nobody acknowledges")
 
-    def _fail(self, action: str, error: Exception, now_ns: int) -> None:
+    def _fail(self, action: str, error: AdapterError, now_ns: int) -> None:
         self._bus_off = False
-        if _errno(error) != errno.ENETDOWN:
+        if error.number != errno.ENETDOWN:
             self.close()
             self._retry_ns = now_ns + REOPEN_NS
         self._mark_down(f"{action}: {error}")
@@ -209,10 +218,12 @@ class _Channel:
             return False
         self._retry_ns = now_ns + REOPEN_NS
         try:
-            self._open()
-        except can.CanInterfaceNotImplementedError as error:
-            raise ConfigError("robot file", [f"bus {self._config.name}: interface: {error}"]) from None
-        except (OSError, can.CanError) as error:
+            ask(self._open)
+        except AdapterError as error:
+            self.close()
+            unknown = isinstance(error.__cause__, can.CanInterfaceNotImplementedError)
+            if unknown and self._config.interface not in can.VALID_INTERFACES:
+                raise ConfigError("robot file", [f"bus {self._config.name}: interface: {error}"]) from None
             self._mark_down(f"{self._config.interface} {self._config.channel} cannot be opened: {error}")
             return False
         return True
@@ -246,12 +257,6 @@ class _Channel:
         self._events.append(BusEvent(self._config.name, kind, occurrences, text))
 
 
-def _message(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote
-    )
-
-
 def interface_exists(channel: str) -> bool:
     """Whether this network interface is there now.
 
@@ -271,12 +276,6 @@ def _can_filter(wanted: ReceiveFilter) -> can.typechecking.CanFilter:
     return {"can_id": wanted.id, "can_mask": wanted.mask, "extended": wanted.extended}
 
 
-def _is_full(error: Exception) -> bool:
+def _is_full(error: AdapterError) -> bool:
     """A full queue passes; python-can does not always keep the errno, so its words are asked too (python-can #2005)."""
-    return _errno(error) in (errno.ENOBUFS, errno.EAGAIN) or "buffer full" in str(error).lower()
-
-
-def _errno(error: Exception) -> int | None:
-    """A CanOperationError carries it as error_code, an OSError as errno."""
-    number = getattr(error, "error_code", None) or getattr(error, "errno", None)
-    return number if isinstance(number, int) else None
+    return error.number in (errno.ENOBUFS, errno.EAGAIN) or "buffer full" in str(error).lower()

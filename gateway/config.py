@@ -12,12 +12,13 @@ from gateway.types import Twist
 NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"  # also safe as one chunk of a Zenoh key
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN, description="lower case, digits, _ and -, at most 32 characters")]
-Metres = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
-Length = Annotated[float, Field(ge=1e-3, le=10.0, allow_inf_nan=False)]
-Angle = Annotated[float, Field(ge=-6.3, le=6.3, allow_inf_nan=False, description="rad")]
-Rate = Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False, description="Hz")]
-Positive = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
+Length = Annotated[float, Field(ge=1e-3, le=10.0)]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3, description="rad")]
+Rate = Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")]
+Limit = Annotated[float, Field(ge=1e-3, le=1e4, description="m or rad, per s, s^2 or s^3")]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
 _File = TypeVar("_File", bound=BaseModel)
 
@@ -32,15 +33,15 @@ class ConfigError(ValueError):
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Axes(_Section):
     """One number per body axis: vx and vy in m, wz in rad (per s, s^2 or s^3)."""
 
-    vx: Positive
-    vy: Positive
-    wz: Positive
+    vx: Limit
+    vy: Limit
+    wz: Limit
 
     def as_twist(self) -> Twist:
         """The three numbers in the order of the core."""
@@ -118,7 +119,7 @@ class Limits(_Section):
     velocity: Axes
     acceleration: Axes
     jerk: Axes
-    motor_speed: dict[Name, Positive]
+    motor_speed: dict[Name, Limit]
 
 
 class Stop(_Section):
@@ -130,7 +131,7 @@ class Stop(_Section):
 class WatchdogConfig(_Section):
     """The controller's own command timeout, with the parameter numbers of exactly this firmware version."""
 
-    timeout: Annotated[float, Field(ge=0.01, le=1.0, description="s")]
+    timeout: float  # s; what the controller and the loop need is for the driver to say, with the reason
     firmware: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")]
     enable_endpoint: Annotated[int, Field(ge=1, le=65535)]
     timeout_endpoint: Annotated[int, Field(ge=1, le=65535)]
@@ -151,10 +152,10 @@ class Motor(_Section):
     id: Annotated[int, Field(ge=0, le=0x1FFFFFFF)]
     gear_ratio: Annotated[float, Field(ge=0.01, le=1000.0, description="motor turns per output turn")]
     direction: Literal[1, -1]
-    max_current: Annotated[float, Field(gt=0.0, le=500.0, description="A")]
-    max_torque: Annotated[float, Field(gt=0.0, le=5000.0, description="N m at the output")]
-    max_speed: Annotated[float, Field(gt=0.0, le=5000.0, description="rad/s at the output; limit set in the device")]
-    feedback_rate: Rate
+    max_current: Annotated[float, Field(ge=0.01, le=500.0, description="A")]
+    max_torque: Annotated[float, Field(ge=1e-3, le=5000.0, description="N m at the output")]
+    max_speed: Annotated[float, Field(ge=1e-3, le=5000.0, description="rad/s at the output; limit set in the device")]
+    feedback_rate: float  # Hz; what each controller needs is for its driver to say, with the reason
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
     # Only "absolute" (at the output, also after a power cut) lets a steered joint drive without being referenced first.
     encoder: Literal["absolute", "incremental"] = "incremental"
@@ -231,6 +232,7 @@ class RobotConfig(_Section):
     def _names_fit_together(self) -> Self:
         problems = [*_duplicates("motor.name", (motor.name for motor in self.motor))]
         problems += _duplicates("bus.name", (bus.name for bus in self.bus))
+        problems += _shared_channels(self.bus)
         problems += _duplicates("commands.source.name", (source.name for source in self.commands.source))
         problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
@@ -265,7 +267,7 @@ def parse_as(model: type[_File], text: str, origin: str) -> _File:
     """What a person typed, as this model. Raises ConfigError."""
     try:
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number of more than 4300 digits, and tables without end
         raise ConfigError(origin, [f"not valid TOML: {error}"]) from None
     try:
         return model.model_validate(document)
@@ -299,6 +301,20 @@ def _duplicates(key: str, values: Iterable[object]) -> list[str]:
     seen: set[object] = set()
     doubled = {value for value in values if value in seen or seen.add(value)}  # type: ignore[func-returns-value]
     return [f"{key} = {value!r}: given twice, must be unique" for value in sorted(doubled, key=str)]
+
+
+def _shared_channels(buses: Iterable[Bus]) -> list[str]:
+    """Two buses on one channel would each claim, filter and send as if they were alone on it."""
+    owners: dict[tuple[str, str], str] = {}
+    problems = []
+    for bus in buses:
+        owner = owners.setdefault((bus.interface, bus.channel), bus.name)
+        if owner != bus.name:
+            channel = f"interface = {bus.interface!r}, channel = {bus.channel!r}"
+            problems.append(
+                f"bus {bus.name}: {channel}: already the channel of bus {owner}; give both motors one [[bus]]"
+            )
+    return problems
 
 
 def _mismatch(key: str, given: Iterable[str], motors: Iterable[str]) -> list[str]:

@@ -150,9 +150,9 @@ class Engine:
         """Frames that release every motor; valid in any state."""
         return self._motors.coast_frames()
 
-    def stop_frames(self) -> list[CanFrame]:
-        """Frames that stop every motor when this core can no longer be trusted."""
-        return self._motors.stop_frames()
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
+        """Frames that brake every motor when this core can no longer be trusted."""
+        return self._motors.stop_frames(now_ns=now_ns)
 
     # receive and measure
 

@@ -120,9 +120,9 @@ class Motors:
         """Frames that release every motor; valid in any state."""
         return [frame for group in self._robot.groups for frame in group.driver.coast_frames()]
 
-    def stop_frames(self) -> list[CanFrame]:
-        """Frames that stop every motor when the core can no longer be trusted."""
-        return [frame for group in self._robot.groups for frame in group.driver.stop_frames()]
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
+        """Frames that brake every motor when the core can no longer be trusted."""
+        return [frame for group in self._robot.groups for frame in group.driver.stop_frames(now_ns=now_ns)]
 
     def status(self) -> tuple[MotorStatus, ...]:
         """Every motor in words and numbers."""

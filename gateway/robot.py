@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from drivers import DRIVERS
+from drivers.checks import id_conflicts
 from drivers.interface import Driver, MotorSpec, Watchdog
 from gateway.config import ConfigError, Motor, RobotConfig, WatchdogConfig
 from gateway.control.speed_loop import SpeedLoop
@@ -40,7 +41,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         kinematics = KINEMATICS[config.robot.kind](config.robot)
     except GeometryError as error:
         raise ConfigError(origin, [f"robot: {error}"]) from None
-    groups = _groups(motors, origin)
+    groups = _groups(config, motors, origin)
     loops = _speed_loops(motors, groups, origin)
     return Robot(
         names=tuple(motor.name for motor in motors),
@@ -53,27 +54,36 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     )
 
 
-def _groups(motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:
+def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:
     members: dict[tuple[str, str], list[int]] = {}
     for index, motor in enumerate(motors):
         members.setdefault((motor.bus, motor.driver), []).append(index)
-    return tuple(
-        Group(bus, _driver(name, bus, [motors[index] for index in indices], origin), tuple(indices))
+    rate = config.loop.rate
+    groups = tuple(
+        Group(bus, _driver(name, bus, [_spec(motors[index], rate) for index in indices], origin), tuple(indices))
         for (bus, name), indices in members.items()
     )
+    conflicts = [
+        f"bus {bus.name}: {conflict}"
+        for bus in config.bus
+        for conflict in id_conflicts([group.driver.ids() for group in groups if group.bus == bus.name])
+    ]
+    if conflicts:
+        raise ConfigError(origin, conflicts)
+    return groups
 
 
-def _driver(name: str, bus: str, motors: Sequence[Motor], origin: str) -> Driver:
+def _driver(name: str, bus: str, motors: Sequence[MotorSpec], origin: str) -> Driver:
     if name not in DRIVERS:
         problem = f"motor {motors[0].name}: driver = {name!r}: unknown; there is {', '.join(sorted(DRIVERS))}"
         raise ConfigError(origin, [problem])
     try:
-        return DRIVERS[name](bus, [_spec(motor) for motor in motors])
+        return DRIVERS[name](bus, motors)
     except ValueError as error:
         raise ConfigError(origin, [str(error)]) from None
 
 
-def _spec(motor: Motor) -> MotorSpec:
+def _spec(motor: Motor, command_rate: float) -> MotorSpec:
     """What the driver is told, at the motor shaft; the top speed has room above the limit for the speed controller."""
     gear = Transmission(motor.gear_ratio, 0.0)
     return MotorSpec(
@@ -84,6 +94,7 @@ def _spec(motor: Motor) -> MotorSpec:
         max_torque=gear.motor_torque(motor.max_torque),
         max_current=motor.max_current,
         feedback_rate=motor.feedback_rate,
+        command_rate=command_rate,
         watchdog=None if motor.watchdog is None else _watchdog(motor.watchdog),
     )
 

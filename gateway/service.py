@@ -203,5 +203,6 @@ class Service:
 
     def _emergency_stop(self) -> None:
         """The core cannot be trusted any more, its constant stop frames can."""
-        self._bus.send(self._engine.stop_frames(), time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        self._bus.send(self._engine.stop_frames(now_ns=now_ns), now_ns)
         self._bus.send(self._engine.coast_frames(), time.monotonic_ns())

@@ -118,6 +118,7 @@ class BusEventKind(Enum):
     ERROR_ACTIVE = "error_active"
     RESTARTED = "restarted"
     RX_OVERFLOW = "rx_overflow"
+    RX_MALFORMED = "rx_malformed"  # the adapter handed over what no classic CAN bus carries: dropped
 
 
 class BusEvent(NamedTuple):

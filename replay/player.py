@@ -17,9 +17,9 @@ from typing import NamedTuple
 import can
 
 from drivers.interface import CanFrame
+from gateway.can_adapter import MAX_EXTENDED_ID, MAX_STANDARD_ID, AdapterError, ask, message_of
 from replay.session import Session
 
-MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 LISTEN_S = 0.3  # ODrive's slowest default message is its heartbeat, every 0.1 s
 
 
@@ -73,10 +73,10 @@ def recorded(session: Session, bus: str, only: Direction | None) -> list[Due]:
 
 
 def is_alive(bus: can.BusABC) -> bool:
-    """Whether anybody else sends on the bus. Raises CanError."""
+    """Whether anybody else sends on the bus. Raises AdapterError."""
     deadline_ns = time.monotonic_ns() + round(LISTEN_S * 1e9)
     while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
-        message = bus.recv(left_ns * 1e-9)
+        message = ask(bus.recv, left_ns * 1e-9)
         if message is not None and not message.is_error_frame:
             return True
     return False
@@ -93,8 +93,8 @@ def play(frames: Sequence[Due], bus: can.BusABC, *, speed: float = 1.0) -> Playe
     for deadline_ns, frame in _deadlines(playable, started_ns, speed):
         errors_ns.append(_wait(deadline_ns) - deadline_ns)
         try:
-            bus.send(_message(frame), timeout=0)
-        except (can.CanError, OSError) as error:
+            ask(bus.send, message_of(frame), timeout=0)
+        except AdapterError as error:
             not_sent += 1
             problem = problem or str(error)
     seconds = (time.monotonic_ns() - started_ns) * 1e-9
@@ -125,12 +125,6 @@ def _wait(deadline_ns: int) -> int:
 
 def _is_frame(frame: CanFrame) -> bool:
     return 0 <= frame.id <= (MAX_EXTENDED_ID if frame.extended else MAX_STANDARD_ID)
-
-
-def _message(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote
-    )
 
 
 def _quantile_us(ordered_ns: Sequence[int], share: float) -> float:

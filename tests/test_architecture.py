@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("drivers", "gateway", "replay")
 EDGES = {
+    "gateway/can_adapter.py",
     "gateway/can_bus.py",
     "gateway/client.py",
     "gateway/exclusive.py",

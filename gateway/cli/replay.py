@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import can
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from gateway.can_adapter import AdapterError, opened
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
 from gateway.exclusive import Claims
@@ -84,7 +84,7 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
         opened = open_session(session)
         frames = _chosen(opened, bus, only)
         played = _played(frames, interface, channel, speed, live=live)
-    except (SessionError, can.CanError, OSError) as error:
+    except (SessionError, AdapterError, OSError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
@@ -113,13 +113,13 @@ def _chosen(session: Session, bus: str | None, only: Direction | None) -> list[D
 
 
 def _played(frames: Sequence[Due], interface: str, channel: str, speed: float, *, live: bool) -> Played:
-    """Plays them where that is harmless or wanted. Raises SessionError, CanError, OSError, InUseError."""
+    """Plays them where that is harmless or wanted. Raises SessionError, AdapterError, OSError, InUseError."""
     commanded = {due.frame.id for due in frames if due.frame.received_ns is None}
     if commanded and interface == "socketcan" and not channel.startswith(VIRTUAL_CHANNELS) and not live:
         raise SessionError(f"{channel} may lead to motors, and commands would move them: --only rx, or --live")
     claims = Claims(interface, channel, commanded)
     try:
-        with can.Bus(interface=interface, channel=channel) as target:
+        with opened(interface=interface, channel=channel) as target:
             if not live and is_alive(target):
                 raise SessionError(f"somebody talks on {channel}: if it is to be so, say --live")
             return play_frames(frames, target, speed=speed)

@@ -13,6 +13,7 @@ import typer
 import zenoh
 
 from gateway import robot_files
+from gateway.check import examine
 from gateway.client import MAX_MESSAGE_SIZE
 from gateway.config import RobotConfig, load
 from gateway.messages import encode_truth
@@ -37,7 +38,9 @@ def sim(
     Survives the interface going down, up, away and back. Use a larger --tick where system calls are slow.
     """
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
-    config, _ = load(robot_files.find(file))
+    path = robot_files.find(file)
+    config, _ = load(path)
+    examine(config, str(path))
     ended = Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ended.set())

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 import can
 
 from drivers.interface import CanFrame
+from gateway.can_adapter import AdapterError, ask, flaw, frame_of, message_of
 from gateway.config import RobotConfig
 from replay.sim.device import STEP_NS, Emission
 from replay.sim.robot import SimulatedRobot
@@ -69,37 +70,24 @@ class SimulationServer:
         devices = [device for device in self.robot.devices.values() if device.setup.bus == name]
         replies: list[Emission] = []
         while (message := self._received(name, bus)) is not None:
-            if message.is_error_frame or message.is_fd:
+            if message.is_error_frame or flaw(message) is not None:
                 continue
-            frame = CanFrame(
-                bus=name,
-                id=message.arbitration_id,
-                data=bytes(message.data),
-                extended=message.is_extended_id,
-                remote=message.is_remote_frame,
-            )
+            frame = frame_of(message, bus=name, received_ns=None)
             for device in devices:
                 replies.extend(device.receive(frame, self._world_ns))
         return replies
 
     def _received(self, name: str, bus: can.BusABC) -> can.Message | None:
         try:
-            message = bus.recv(0)
-        except (can.CanError, OSError) as error:
+            return ask(bus.recv, 0)
+        except AdapterError as error:
             self._note_failure(name, error)
             return None
-        return message
 
     def _say(self, frame: CanFrame) -> None:
-        message = can.Message(
-            arbitration_id=frame.id,
-            data=frame.data,
-            is_extended_id=frame.extended,
-            is_remote_frame=frame.remote,
-        )
         try:
-            self._buses[frame.bus].send(message)
-        except (can.CanError, OSError) as error:
+            ask(self._buses[frame.bus].send, message_of(frame))
+        except AdapterError as error:
             self.dropped += 1
             self._note_failure(frame.bus, error)
             return

@@ -10,6 +10,7 @@ from drivers import DRIVERS
 from drivers.interface import (
     CanFrame,
     CommandKind,
+    DecodedFrame,
     Driver,
     MotorCommand,
     MotorFeedback,
@@ -17,6 +18,7 @@ from drivers.interface import (
     MotorState,
     Watchdog,
 )
+from drivers.odrive_firmware import FIRMWARES
 
 BUS = "can0"
 MS = 1_000_000
@@ -27,7 +29,7 @@ PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in ki
 
 def spec(variant: str, *, id: int = 3, name: str = "", watchdog: Watchdog | None = None) -> MotorSpec:
     """A motor of 100 rad/s, 2 N m and 20 A."""
-    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, watchdog)
+    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, 250.0, watchdog)
 
 
 def can_frame(text: str, *, received_ns: int | None = None) -> CanFrame:
@@ -206,6 +208,11 @@ class Rig:
     setpoints: Callable[[CanFrame], tuple[float, ...]]
     fault_frame: Callable[[int, str], CanFrame] | None
     watchdogs: tuple[str, ...] = ()
+    commands: frozenset[str] = frozenset()  # names of the messages that a host sends
+
+    def from_host(self, decoded: DecodedFrame) -> bool:
+        """Whether a host says this, and no controller."""
+        return decoded.message in self.commands or (decoded.message.endswith(" request") and not decoded.fields)
 
     def specs(self, variant: str) -> list[MotorSpec]:
         """Two motors."""
@@ -228,6 +235,7 @@ RIGS: dict[str, Rig] = {
         setpoints=odrive_setpoints,
         fault_frame=lambda node, _variant: CanFrame(BUS, node << 5 | 1, pack("<IBBBB", 0x4000, 1, 0, 0, 0)),
         watchdogs=("0.6",),
+        commands=frozenset(message.name for line in FIRMWARES.values() for message in line.to_device.values()),
     ),
     "dji": Rig(
         kinds=(CommandKind.TORQUE, CommandKind.COAST),
@@ -236,6 +244,7 @@ RIGS: dict[str, Rig] = {
         device=lambda id, _variant: FakeDji(id),
         setpoints=dji_setpoints,
         fault_frame=None,  # the controllers report no faults
+        commands=frozenset({"command"}),
     ),
 }
 

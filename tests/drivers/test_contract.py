@@ -10,7 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import DRIVERS, driver_problem
-from drivers.interface import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorState
+from drivers.checks import id_conflicts
+from drivers.interface import (
+    BRAKE,
+    COAST,
+    CanFrame,
+    CommandKind,
+    IdUse,
+    MotorCommand,
+    MotorFeedback,
+    MotorSpec,
+    MotorState,
+)
 from tests.drivers.rig import BUS, MS, PAIRS, RIGS, WATCHDOG, Bench, FakeDji, FakeOdrive, Rig, bench, spec
 
 every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
@@ -174,7 +185,7 @@ def test_never_heard_is_silent_and_unknown(driver: str, variant: str) -> None:
     stand, _ = bench(driver, variant)
     for motor in stand.feedback():
         assert motor.state is MotorState.SILENT
-        assert motor[1:] == (None,) * 7
+        assert motor == MotorFeedback(MotorState.SILENT)
 
 
 @every_variant
@@ -231,14 +242,14 @@ def test_nothing_is_asked_before_operational(driver: str, variant: str) -> None:
 @every_variant
 def test_coast_and_stop_frames_are_valid_in_any_state(driver: str, variant: str) -> None:
     stand, rig = bench(driver, variant)
-    fresh = (stand.driver.coast_frames(), stand.driver.stop_frames())
+    fresh = (stand.driver.coast_frames(), stand.driver.stop_frames(now_ns=stand.now_ns))
     for frames in fresh:
         assert frames
         assert not any(rig.asked(frames))
         assert rig.asked(frames)
         assert all(stand.driver.decode(frame) is not None and frame.bus == BUS for frame in frames)
     stand.run(MotorCommand(moving_kinds(rig)[0], 1.0), ms=1000)
-    assert (stand.driver.coast_frames(), stand.driver.stop_frames()) == fresh
+    assert (stand.driver.coast_frames(), stand.driver.stop_frames(now_ns=stand.now_ns)) == fresh
     stand.driver.coast_frames().clear()
     assert stand.driver.coast_frames() == fresh[0]
 
@@ -261,6 +272,84 @@ def test_traffic_counts_both_directions(driver: str, variant: str) -> None:
     assert all(item.length == 8 and not item.extended and item.rate_hz > 0 for item in traffic)
     assert sum(item.rate_hz == 200.0 for item in traffic) == 2  # two ODrive axes; two DJI command frames
     assert sum(item.rate_hz == 250.0 for item in traffic) == 2
+
+
+def uses(use: IdUse, frame: CanFrame) -> bool:
+    return use.extended == frame.extended and not (use.id ^ frame.id) & use.mask
+
+
+@every_variant
+def test_every_id_sent_or_taken_is_declared_and_the_filters_ask_for_no_other(driver: str, variant: str) -> None:
+    stand, rig = operational(driver, variant, moving_kinds(RIGS[driver])[0])
+    declared = stand.driver.ids()
+    sent = [frame for _, frame in stand.sent]
+    emergency = [*stand.driver.coast_frames(), *stand.driver.stop_frames(now_ns=stand.now_ns)]
+    heard = [frame for device in stand.devices for frame in device.answers([], stand.now_ns + 200 * MS)]
+    for frame in (*sent, *emergency, *heard):
+        assert any(uses(use, frame) for use in declared), frame
+    for wanted in stand.driver.receive_filters():
+        assert any(use.mask & wanted.mask == use.mask and not (use.id ^ wanted.id) & use.mask for use in declared)
+    assert all(f"motor_{at}" in " ".join(use.user for use in declared) for at in rig.ids)
+    assert id_conflicts([declared]) == []
+    assert id_conflicts([declared, declared]) != []
+
+
+@pytest.mark.parametrize("variant", ["0.5", "0.6"])
+@pytest.mark.parametrize(
+    ("node", "motor", "shared"),
+    [
+        (16, 1, "odrive node 16 of motor motor_16 (0x200 to 0x21F) and dji command of motor motor_1 (0x200)"),
+        (16, 8, "odrive node 16 of motor motor_16 (0x200 to 0x21F) and dji feedback of motor motor_8 (0x208)"),
+        (15, 5, "odrive node 15 of motor motor_15 (0x1E0 to 0x1FF) and dji command of motor motor_5 (0x1FF)"),
+        (56, 1, "odrive node 56 of motor motor_56 (0x700 to 0x71F) and dji setting of ids (0x700)"),
+        (15, 4, None),
+        (17, 8, None),
+        (3, 1, None),
+    ],
+)
+def test_ids_of_two_drivers_on_one_bus(variant: str, node: int, motor: int, shared: str | None) -> None:
+    first, second = DRIVERS["odrive"](BUS, [spec(variant, id=node)]), DRIVERS["dji"](BUS, [spec("c620", id=motor)])
+    conflicts = id_conflicts([first.ids(), second.ids()])
+    assert any(conflict.startswith(shared) for conflict in conflicts) if shared else conflicts == []
+    assert len(id_conflicts([second.ids(), first.ids()])) == len(conflicts)
+
+
+WILD = (math.nan, math.inf, -math.inf, 0.0, -1.0, 5e-324, 1e-300, 1e300)
+
+
+@every_variant
+@pytest.mark.parametrize("key", ["max_speed", "max_torque", "max_current", "feedback_rate"])
+def test_wild_numbers_are_refused_by_motor_key_value_and_range(driver: str, variant: str, key: str) -> None:
+    for value in WILD:
+        with pytest.raises(ValueError, match=rf"motor_3: {key} = .*: must be "):
+            DRIVERS[driver](BUS, [MotorSpec(**spec(variant)._asdict() | {key: value})])
+
+
+@every_variant
+def test_silence_is_noticed_within_half_a_second_at_the_slowest_feedback_that_is_taken(
+    driver: str, variant: str
+) -> None:
+    slow = spec(variant, id=3)._replace(feedback_rate=10.0)
+    stand = Bench(DRIVERS[driver](BUS, [slow]), [RIGS[driver].device(3, variant)])
+    stand.run(COAST, ms=200)
+    assert stand.feedback()[0].state is not MotorState.SILENT
+    stand.now_ns += 500 * MS
+    assert stand.feedback()[0].state is MotorState.SILENT
+    with pytest.raises(ValueError, match=r"feedback_rate = 9.9: must be 10 to 1000 Hz: .*silent after 5 periods"):
+        DRIVERS[driver](BUS, [slow._replace(feedback_rate=9.9)])
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 250.0, 1000.0])
+def test_a_watchdog_outlives_a_lost_frame_at_any_loop_rate(rate: float) -> None:
+    def motor(timeout: float) -> MotorSpec:
+        return spec("0.6", watchdog=WATCHDOG._replace(timeout_s=timeout))._replace(command_rate=rate)
+
+    DRIVERS["odrive"](BUS, [motor(3.0 / rate)])
+    for wrong in (2.9 / rate, 1.1, 0.0, 1e-300, math.nan):
+        with pytest.raises(
+            ValueError, match=r"motor_3: watchdog.timeout = .*: must be .* to 1 s: 3 periods of loop.rate"
+        ):
+            DRIVERS["odrive"](BUS, [motor(wrong)])
 
 
 FRAMES = st.builds(
@@ -306,6 +395,34 @@ def test_any_bytes_at_any_time_never_raise_and_never_move_a_motor_that_is_not_op
         if MotorState.OPERATIONAL not in {motor.state for motor in feedback}:
             assert not any(rig.asked(frames))
         stand.now_ns += 50 * MS
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PAIRS), FRAMES)
+def test_what_receive_refuses_is_shown_as_no_measurement(pair: tuple[str, str], frame: CanFrame) -> None:
+    agree(*bench(*pair), frame)
+
+
+@every_variant
+def test_decode_and_receive_agree_for_every_id_and_length(driver: str, variant: str) -> None:
+    stand, rig = bench(driver, variant)
+    for fill in (b"\x00", b"\xff", b"\x1f"):
+        for identifier in range(0x800):
+            for length in range(9):
+                frame = CanFrame(BUS, identifier, fill * length, received_ns=stand.now_ns)
+                for each in (frame, frame._replace(remote=True), frame._replace(extended=True)):
+                    agree(stand, rig, each)
+
+
+def agree(stand: Bench, rig: Rig, frame: CanFrame) -> None:
+    """Taken: in words. Refused: no words, or those of a command or a request."""
+    frame = frame._replace(received_ns=stand.now_ns)
+    decoded = stand.driver.decode(frame)
+    if stand.driver.receive(frame):
+        assert decoded is not None
+        assert not rig.from_host(decoded)
+    else:
+        assert decoded is None or rig.from_host(decoded), (frame, decoded)
 
 
 @every_variant

@@ -69,6 +69,51 @@ def test_an_angle_no_encoder_has_is_not_taken() -> None:
     driver = DjiDriver(BUS, [spec("c620", id=1)])
     assert not fed(driver, angle=8192, at=0)
     assert driver.feedback(now_ns=0)[0].state is MotorState.SILENT
+    assert driver.decode(CanFrame(BUS, 0x201, pack(">HhhBB", 8192, 0, 0, 25, 0))) is None
+    assert driver.decode(CanFrame(BUS, 0x201, pack(">HhhBB", 8191, 0, 0, 25, 0))) is not None
+
+
+def test_a_command_too_short_commands_nothing() -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)])
+    assert [driver.decode(CanFrame(BUS, 0x200, bytes(length))) is None for length in (0, 1, 6, 7, 8)] == [
+        *(True, True, True, True),
+        False,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("max_speed", "slowest"),  # half a turn of the rotor, of which the speed foretells nine tenths of its top speed
+    [(48.0 * 3591 / 187, 29.4), (52.0 * 36, 59.6), (400.0, 12.8)],
+)
+def test_the_slowest_feedback_at_which_turns_are_counted(max_speed: float, slowest: float) -> None:
+    motor = spec("c620", id=1)._replace(max_speed=max_speed, feedback_rate=slowest)
+    DjiDriver(BUS, [motor])
+    with pytest.raises(
+        ValueError, match=rf"motor_1: feedback_rate = .*: must be {slowest} to 1000 Hz: the rotor's turns"
+    ):
+        DjiDriver(BUS, [motor._replace(feedback_rate=slowest - 0.1)])
+
+
+def test_a_rotor_too_fast_for_any_feedback_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"motor_1: max_speed = 31416: must be 0 to 31415\.9 rad/s at the rotor"):
+        DjiDriver(BUS, [spec("c620", id=1)._replace(max_speed=31_416.0, feedback_rate=1000.0)])
+
+
+def test_limits_that_leave_no_current_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"motor_1: max_current or max_torque allows less than 1.2 mA, one step"):
+        DjiDriver(BUS, [spec("c620", id=1)._replace(max_torque=1e-6)])
+
+
+@pytest.mark.parametrize("doubt", [-0.09, 0.09])
+def test_turns_are_right_at_the_slowest_feedback_if_the_speed_tells_nine_tenths(doubt: float) -> None:
+    """The rotor runs at another speed between the frames than it says at both of them: by 9 % of its top speed."""
+    max_speed, rate = 900.0, 28.7
+    driver = DjiDriver(BUS, [spec("c620", id=1)._replace(max_speed=max_speed, feedback_rate=rate)])
+    told, true = 0.5 * max_speed, (0.5 + doubt) * max_speed
+    for index in range(100):
+        ticks = int(true * index / rate / TICK)
+        fed(driver, angle=ticks % 8192, rpm=round(told * 60 / (2 * pi)), at=round(index / rate * 1e9))
+    assert position_ticks(driver) == int(true * 99 / rate / TICK)
 
 
 def test_one_frame_per_four_ids_and_unused_slots_are_zero() -> None:
@@ -82,7 +127,7 @@ def test_one_frame_per_four_ids_and_unused_slots_are_zero() -> None:
         "1FF#000003E800000000",
     ]
     assert [frame.id for frame in DjiDriver(BUS, [spec("c620", id=5)]).coast_frames()] == [0x1FF]
-    assert [frame.id for frame in DjiDriver(BUS, [spec("c620", id=4)]).stop_frames()] == [0x200]
+    assert [frame.id for frame in DjiDriver(BUS, [spec("c620", id=4)]).stop_frames(now_ns=0)] == [0x200]
 
 
 @pytest.mark.parametrize(("torque", "current", "raw"), [(0.1, 20.0, 5243), (9.0, 3.0, 2457), (9.0, 99.0, 16384)])

@@ -1,5 +1,6 @@
 """ODrive once armed: release, change of mode, reboot, faults and measurements."""
 
+from math import pi
 from struct import unpack
 
 import pytest
@@ -343,3 +344,100 @@ def test_two_axes_are_independent() -> None:
         stand.cycle([VELOCITY, BRAKE])
     assert stand.states == [MotorState.OPERATIONAL, MotorState.SILENT]
     assert max(time for time, _ in stand.sent) < 2_000 * MS
+
+
+# --- half silent ---
+
+
+@pytest.mark.parametrize(
+    ("variant", "setting"), [("0.5", "can.encoder_rate_ms to 4 "), ("0.6", "can.encoder_msg_rate_ms to 4 ")]
+)
+def test_missing_estimates_are_named_with_the_setting_that_turns_them_on(variant: str, setting: str) -> None:
+    stand, device = stand_of(variant)
+    device.encoder = False
+    stand.run(COAST, ms=500)
+    motor = only(stand)
+    assert motor.state is MotorState.SILENT
+    assert motor.silence is not None
+    assert motor.silence.startswith("heartbeats arrive, but Get_Encoder_Estimates never came: set ")
+    assert setting in motor.silence
+    device.encoder = True
+    stand.run(COAST, ms=8)
+    assert only(stand).silence is None
+    device.encoder = False
+    stand.run(COAST, ms=500)
+    assert "heartbeats arrive, but Get_Encoder_Estimates has not come for 0.50 s" in (only(stand).silence or "")
+
+
+@pytest.mark.parametrize(
+    ("variant", "setting"), [("0.5", "can.heartbeat_rate_ms to 100 "), ("0.6", "can.heartbeat_msg_rate_ms to 100 ")]
+)
+def test_missing_heartbeats_are_named_with_the_setting_that_turns_them_on(variant: str, setting: str) -> None:
+    stand, device = stand_of(variant)
+    device.next_heartbeat_ns = stand.now_ns + 10_000 * MS
+    stand.run(COAST, ms=500)
+    motor = only(stand)
+    assert motor.state is MotorState.SILENT
+    assert motor.silence is not None
+    assert motor.silence.startswith("estimates arrive, but Heartbeat never came: set ")
+    assert setting in motor.silence
+
+
+def test_one_that_says_nothing_at_all_is_told_nothing_of_its_settings() -> None:
+    stand, device = stand_of()
+    stand.run(COAST, ms=500)
+    device.powered = False
+    stand.run(COAST, ms=500)
+    assert only(stand).state is MotorState.SILENT
+    assert only(stand).silence is None
+
+
+# --- estimates of 0.5 before the first closed loop ---
+
+
+def test_05_measures_nothing_until_its_first_closed_loop() -> None:
+    stand, device = stand_of("0.5")
+    stand.run(COAST, ms=500)
+    motor = only(stand)
+    assert (motor.state, motor.position, motor.velocity) == (MotorState.IDLE, None, None)
+    assert motor.age_ns is not None  # it is heard all the same
+    stand.run(VELOCITY, ms=500, until=lambda: device.axis_state == 8)
+    assert only(stand).position is None
+    device.estimates = (3.25, 0.0)  # the real position
+    stand.run(VELOCITY, ms=8)
+    assert only(stand).position == pytest.approx(6.5 * pi)
+    assert only(stand).velocity == 0.0
+    stand.run(COAST, ms=500)
+    assert only(stand).position == pytest.approx(6.5 * pi)
+
+
+def test_05_at_exactly_zero_is_believed_once_the_closed_loop_is_sure() -> None:
+    stand, device = stand_of("0.5")
+    stand.run(VELOCITY, ms=1000, until=lambda: device.axis_state == 8)
+    stand.run(VELOCITY, ms=100, until=lambda: only(stand).state is MotorState.OPERATIONAL)
+    stand.run(VELOCITY, ms=40)
+    assert only(stand).position is None  # may still be one that the heartbeat has overtaken
+    stand.run(VELOCITY, ms=20)
+    assert (only(stand).position, only(stand).velocity) == (0.0, 0.0)
+
+
+def test_05_that_rebooted_unseen_measures_nothing_again() -> None:
+    stand, device = operational("0.5")
+    device.estimates = (3.25, 0.5)
+    stand.run(VELOCITY, ms=20)
+    assert only(stand).position is not None
+    device.powered = False
+    stand.run(COAST, ms=400)
+    device.reboot()
+    device.powered, device.estimates = True, (0.0, 0.0)
+    device.next_heartbeat_ns = stand.now_ns + 90 * MS
+    for _ in range(100):
+        stand.cycle([COAST])
+        assert only(stand).position is None
+    assert only(stand).state is MotorState.IDLE
+
+
+def test_06_at_zero_is_measured() -> None:
+    stand, _ = stand_of()
+    stand.run(COAST, ms=500)
+    assert (only(stand).position, only(stand).velocity) == (0.0, 0.0)

@@ -2,8 +2,10 @@
 
 import errno
 import os
+import struct
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -29,8 +31,9 @@ class ScriptedBus:
     """A bus of which a test says what is received, and what fails how."""
 
     def __init__(self) -> None:
-        self.inbox: deque[can.Message | Exception] = deque()
-        self.failure: Exception | None = None
+        self.inbox: deque[can.Message | BaseException] = deque()
+        self.failure: BaseException | None = None
+        self.closing: BaseException | None = None
         self.room: int | None = None  # frames that still fit
         self.sent: list[can.Message] = []
         self.closed = False
@@ -39,9 +42,12 @@ class ScriptedBus:
         if not self.inbox:
             return None
         item = self.inbox.popleft()
-        if isinstance(item, Exception):
+        if isinstance(item, BaseException):
             raise item
         return item
+
+    def set_filters(self, filters: object) -> None:
+        assert filters
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
         assert timeout == 0
@@ -51,6 +57,8 @@ class ScriptedBus:
 
     def shutdown(self) -> None:
         self.closed = True
+        if self.closing is not None:
+            raise self.closing
 
 
 class Bench:
@@ -58,7 +66,7 @@ class Bench:
 
     def __init__(self, config: RobotConfig, monkeypatch: pytest.MonkeyPatch) -> None:
         self.opened: list[ScriptedBus] = []
-        self.open_failure: Exception | None = None
+        self.open_failure: BaseException | None = None
         self.now_ns = 10**12
         monkeypatch.setattr(can, "Bus", self._open)
         self.edge = CanBuses(config)
@@ -86,7 +94,7 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Bench]:
-    bench = Bench(on_interface("scripted", request.node.name), monkeypatch)
+    bench = Bench(on_interface("slcan", request.node.name), monkeypatch)
     bench.cycle()
     yield bench
     bench.edge.close()
@@ -200,12 +208,164 @@ def test_a_flood_is_taken_in_parts(bench: Bench) -> None:
     assert len(bench.cycle()[0]) == 5
 
 
-def test_stamps_neither_fall_nor_lie_in_the_future(bench: Bench) -> None:
+def test_stamps_neither_fall_nor_lie_in_the_future(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
+    bench.cycle()
     bench.bus.inbox.extend(heartbeat(stamp) for stamp in (3e9, 1.0, 2.0))  # a wall clock that was set meanwhile
     received, _ = bench.cycle()
     stamps = [frame.received_ns or 0 for frame in received]
     assert stamps == sorted(stamps)
     assert max(stamps) <= bench.now_ns
+    bench.edge.close()
+
+
+# Seen of python-can's adapters on corrupt serial lines, on unplugged devices, and what else there may be.
+WILD = [
+    ValueError("invalid literal for int() with base 16: b'zz'"),
+    TypeError("'NoneType' object is not subscriptable"),
+    OverflowError("int too big to convert"),
+    struct.error("unpack requires a buffer of 8 bytes"),
+    IndexError(),
+    AttributeError("'NoneType' object has no attribute 'read'"),
+    UnicodeDecodeError("ascii", b"\xff", 0, 1, "ordinal not in range(128)"),
+    ZeroDivisionError("division by zero"),
+    RuntimeError("device disconnected"),
+    can.CanOperationError("lost"),
+    can.CanInterfaceNotImplementedError("no driver library"),
+    OSError(errno.EIO, "Input/output error"),
+]
+wild = pytest.mark.parametrize("error", WILD, ids=lambda error: type(error).__name__)
+
+
+@wild
+def test_whatever_receiving_raises_is_a_bus_that_is_down_and_reopened(bench: Bench, error: Exception) -> None:
+    first = bench.bus
+    first.inbox += [heartbeat(), error, heartbeat()]
+    frames, kinds = bench.cycle(SETPOINT)
+    assert (len(frames), kinds) == (1, [BusEventKind.DOWN])
+    assert first.closed
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert len(bench.opened) == 2
+
+
+@wild
+def test_whatever_sending_raises_is_a_bus_that_is_down_and_reopened(bench: Bench, error: Exception) -> None:
+    bench.bus.failure = error
+    assert bench.cycles(2, SETPOINT) == [BusEventKind.TX_DROPPED, BusEventKind.DOWN]
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert len(bench.opened) == 2
+
+
+@wild
+def test_whatever_opening_and_closing_raise_is_survived(bench: Bench, error: Exception) -> None:
+    bench.open_failure = bench.bus.closing = error
+    bench.bus.inbox.append(error)
+    kinds = bench.cycles(3 * REOPEN_NS // STEP_NS, SETPOINT)
+    assert kinds.count(BusEventKind.DOWN) == 1
+    bench.open_failure = None
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    bench.bus.closing = error
+    bench.edge.close()
+    assert bench.bus.closed
+
+
+def test_a_bus_that_fails_half_opened_is_closed(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
+    monkeypatch.setattr(ScriptedBus, "set_filters", lambda *_: 1 // 0)
+    assert bench.cycle()[1] == [BusEventKind.DOWN]
+    assert bench.bus.closed
+    bench.edge.close()
+
+
+def test_the_words_of_the_adapter_are_told(bench: Bench) -> None:
+    bench.bus.inbox.append(WILD[0])
+    _, events = bench.edge.receive(bench.now_ns)
+    assert [(event.kind, event.text) for event in events] == [
+        (BusEventKind.DOWN, "receive: ValueError: invalid literal for int() with base 16: b'zz'")
+    ]
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+def test_the_end_of_the_process_is_no_failure_of_a_bus(bench: Bench, end: type[BaseException]) -> None:
+    bench.bus.inbox.append(end())
+    with pytest.raises(end):
+        bench.cycle()
+
+
+def malformed() -> dict[str, can.Message]:
+    """By what is wrong with them; can.Message checks nothing unless asked."""
+    headless, short, error = heartbeat(), heartbeat(), error_frame(CONTROLLER, 0x10)
+    headless.data = error.data = None  # type: ignore[assignment]
+    short.data = bytearray(3)
+    return {
+        "fd": can.Message(arbitration_id=LEFT | 1, data=bytes(8), is_extended_id=False, is_fd=True),
+        "too long": can.Message(arbitration_id=LEFT | 1, data=bytes(9), is_extended_id=False),
+        "no data": headless,
+        "less data than told": short,
+        "standard id": can.Message(arbitration_id=0x800, data=bytes(8), is_extended_id=False),
+        "extended id": can.Message(arbitration_id=1 << 29, data=bytes(8), is_extended_id=True),
+        "negative id": can.Message(arbitration_id=-1, data=bytes(8), is_extended_id=False),
+        "error frame without data": error,
+    }
+
+
+@pytest.mark.parametrize("wrong", malformed())
+def test_what_no_classic_bus_carries_is_dropped_and_counted(bench: Bench, wrong: str) -> None:
+    message = malformed()[wrong]
+    bench.bus.inbox += [message, heartbeat(), message]
+    bench.now_ns += STEP_NS
+    frames, events = bench.edge.receive(bench.now_ns)
+    assert [frame.id for frame in frames] == [LEFT | 1]
+    assert [(event.kind, event.occurrences) for event in events] == [(BusEventKind.RX_MALFORMED, 2)]
+    assert bench.cycles(3, SETPOINT) == []
+    assert len(bench.opened) == 1
+
+
+@pytest.mark.parametrize("stamp", [0.0, 12.5, -3.0, 5e9, 1e300, float("nan"), float("inf"), None])
+def test_stamps_of_other_adapters_are_not_trusted(bench: Bench, stamp: float) -> None:
+    message = heartbeat()
+    message.timestamp = stamp
+    for _ in range(3):
+        bench.bus.inbox.append(message)
+        received, _ = bench.cycle()
+        assert [frame.received_ns for frame in received] == [bench.now_ns]
+
+
+def test_stamps_of_socketcan_are_trusted(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
+    bench.now_ns = time.monotonic_ns()
+    bench.cycle()
+    age_s = 0.003
+    bench.now_ns = time.monotonic_ns()
+    stamp = time.clock_gettime(time.CLOCK_REALTIME) - age_s
+    bench.bus.inbox += [heartbeat(stamp), heartbeat(float("nan"))]
+    frames, _ = bench.edge.receive(bench.now_ns)
+    first, second = (frame.received_ns or 0 for frame in frames)
+    assert 0 < bench.now_ns - first < 1_000_000_000
+    assert first < second == bench.now_ns
+    bench.edge.close()
+
+
+def test_a_slow_loop_keeps_up_with_a_full_bus(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    config = on_interface("scripted", request.node.name)
+    slow = config.model_copy(update={"loop": config.loop.model_copy(update={"rate": 10.0})})
+    motors = [
+        motor.model_copy(update={"watchdog": None, "watchdog_waiver": "a test of the bus alone"})
+        for motor in config.motor
+    ]
+    bench = Bench(slow.model_copy(update={"motor": motors}), monkeypatch)
+    bench.cycle()
+    in_a_period = round(1e6 / 47 / 10)
+    bench.bus.inbox.extend(heartbeat() for _ in range(in_a_period))
+    assert len(bench.cycle()[0]) == in_a_period
+    bench.edge.close()
 
 
 def test_an_unknown_interface_is_an_error_of_the_robot_file(request: pytest.FixtureRequest) -> None:

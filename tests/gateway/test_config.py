@@ -1,14 +1,21 @@
 """Robot files: what is wrong is said with file, key, value and range; what follows is right."""
 
+import copy
 import json
+import math
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gateway.check import examine, frame_bits
 from gateway.config import ConfigError, load, parse
+from gateway.engine import Engine
 from gateway.robot import build
 from tests.world import NAMES, ROBOTS, robot_text
 
@@ -35,6 +42,27 @@ WRONG = [
     ("omni4", "axis_angle = 2.0943951023931953", "axis_angle = 1.0471975511965976", []),
     ("omni4", "speed_loop = { kp = 3.5, ki = 14.0 }", "", ["speed_loop is missing"]),
     ("omni4", "watchdog_waiver", "# watchdog_waiver", ["watchdog"]),
+    (
+        "moby",
+        "feedback_rate = 250.0",
+        "feedback_rate = 1.0",
+        ["motor left: feedback_rate = 1", "10 to 1000 Hz", "silent"],
+    ),
+    ("moby", "feedback_rate = 250.0", "feedback_rate = 0.004", ["motor left: feedback_rate = 0.004", "10 to 1000 Hz"]),
+    ("moby", "feedback_rate = 250.0", "feedback_rate = 1e-300", ["motor left: feedback_rate = 1e-300", "10 to 1000"]),
+    (
+        "omni4",
+        "feedback_rate = 1000.0",
+        "feedback_rate = 29.0",
+        ["motor front_left: feedback_rate = 29", "29.4", "turns"],
+    ),
+    (
+        "moby",
+        "timeout = 0.1,",
+        "timeout = 0.01,",
+        ["motor left: watchdog.timeout = 0.01", "0.012 to 1 s", "a lost frame"],
+    ),
+    ("moby", "[loop]\nrate = 250.0", "[loop]\nrate = 20.0", ["motor left: watchdog.timeout = 0.1", "0.15 to 1 s"]),
 ]
 
 
@@ -51,6 +79,154 @@ def test_wrong_files_are_named_and_explained(name: str, right: str, wrong: str, 
     message = str(caught.value)
     assert message.startswith("robot.toml: ")
     assert all(word in message for word in words), message
+
+
+C620 = """
+[[motor]]
+name = "{name}"
+driver = "dji"
+variant = "c620"
+bus = "{bus}"
+id = {id}
+gear_ratio = 19.2
+direction = 1
+max_current = 20.0
+max_torque = 4.5
+max_speed = 48.0
+feedback_rate = 1000.0
+watchdog_waiver = "the e-stop relay cuts the supply of the motors"
+speed_loop = {{ kp = 2.0, ki = 4.0 }}
+"""
+
+
+def mixed(node: int, number: int, *, channel: str = "can0", second_bus: str = "can0") -> str:
+    """Moby with a C620 for the platform, on a bus of its own if asked; `node` is the left wheel's."""
+    text = robot_text("moby").replace("id = 1\n", f"id = {node}\n", 1)
+    head, _, tail = text.rpartition('[[motor]]\nname = "platform"')
+    commands = tail[tail.index("[commands]") :]
+    bus = f'[[bus]]\nname = "{second_bus}"\ninterface = "socketcan"\nchannel = "{channel}"\nbitrate = 1_000_000\n'
+    return head + C620.format(name="platform", bus=second_bus, id=number) + bus * (second_bus != "can0") + commands
+
+
+def problem_of(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        examine(parse(text, "robot.toml"), "robot.toml")
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("node", "number", "words"),
+    [
+        (16, 1, ["odrive node 16 of motor left (0x200 to 0x21F)", "dji command of motor platform (0x200)"]),
+        (16, 8, ["odrive node 16 of motor left (0x200 to 0x21F)", "dji feedback of motor platform (0x208)"]),
+        (15, 5, ["odrive node 15 of motor left (0x1E0 to 0x1FF)", "dji command of motor platform (0x1FF)"]),
+        (56, 1, ["odrive node 56 of motor left (0x700 to 0x71F)", "dji setting of ids (0x700)"]),
+    ],
+)
+def test_controllers_that_would_hear_each_other_are_refused(node: int, number: int, words: list[str]) -> None:
+    message = problem_of(mixed(node, number))
+    assert message.startswith("robot.toml: bus can0: ")
+    assert all(word in message for word in words), message
+    examine(parse(mixed(node, number, second_bus="can1", channel="can1"), "r"), "r")
+    examine(parse(mixed(17, number), "r"), "r")
+
+
+def test_two_buses_on_one_channel_are_refused_by_name() -> None:
+    message = problem_of(mixed(17, 1, second_bus="wheels", channel="can0"))
+    assert "bus wheels: interface = 'socketcan', channel = 'can0': already the channel of bus can0" in message
+
+
+def places(table: object, path: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
+    """Where the numbers of a document are."""
+    if isinstance(table, dict):
+        return [place for key, value in table.items() for place in places(value, (*path, key))]
+    if isinstance(table, list):
+        return [place for key, value in enumerate(table) for place in places(value, (*path, key))]
+    return [path] if isinstance(table, int | float) and not isinstance(table, bool) else []
+
+
+# Everything that the bundled files leave to its default, too.
+MORE: dict[str, Any] = {
+    "zenoh": {"odometry_rate": 50.0, "state_rate": 10.0},
+    "recording": {"segment_seconds": 300.0, "segment_bytes": 10**8, "disk_budget": 10**9, "min_free": 10**8},
+    "stop": {"category": 1},
+}
+DOCUMENTS = {name: MORE | tomllib.loads(robot_text(name)) for name in NAMES}
+for document in DOCUMENTS.values():
+    document["zenoh"] = MORE["zenoh"] | document["zenoh"]
+PLACES = [(name, place) for name in NAMES for place in places(DOCUMENTS[name])]
+NUMBERS = st.one_of(
+    st.floats(),
+    st.integers(),
+    st.sampled_from(
+        [math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1e-310, 1e-300, 1e-20, 1e300, 10**400, -(10**400)]
+    ),
+)
+
+
+def with_number(name: str, place: tuple[object, ...], number: float) -> str:
+    document = copy.deepcopy(DOCUMENTS[name])
+    table: Any = document
+    for key in place[:-1]:
+        table = table[key]
+    table[place[-1]] = number
+    return toml(document)
+
+
+def toml(document: dict[str, Any]) -> str:
+    """Enough of TOML for a robot file; sections as inline tables."""
+    return "\n".join(f"{key} = {inline(item)}" for key, item in document.items())
+
+
+def inline(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {inline(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
+
+
+def valid_or_named(name: str, place: tuple[object, ...], number: float) -> bool:
+    """Whether it is a robot to drive with; if not, that number is what is complained of."""
+    try:
+        config = parse(with_number(name, place, number), "r.toml")
+        examine(config, "r.toml")
+        Engine(config)
+    except ConfigError as error:
+        key = next(part for part in reversed(place) if isinstance(part, str))
+        assert str(error).startswith("r.toml: ")
+        assert key in str(error) or (key == "bitrate" and "load" in str(error)), error
+        return False
+    return True
+
+
+def test_the_document_as_it_is_is_valid() -> None:
+    assert all(valid_or_named(name, ("loop", "rate"), 250.0) for name in NAMES)
+    assert len(PLACES) > 80
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 10**400, -1e300])
+def test_no_key_takes_what_is_no_number_of_any_use(number: float) -> None:
+    taken = [place for name, place in PLACES if valid_or_named(name, place, number)]
+    assert taken == []
+
+
+@pytest.mark.parametrize("number", [0.0, 5e-324, 1e-300, 1e-9, 1e9])
+def test_extreme_numbers_in_any_key_are_valid_or_named(number: float) -> None:
+    for name, place in PLACES:
+        valid_or_named(name, place, number)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(PLACES), NUMBERS)
+def test_any_number_in_any_key_is_valid_or_named(where: tuple[str, tuple[object, ...]], number: float) -> None:
+    valid_or_named(*where, number)
+
+
+def test_numbers_and_tables_without_end_are_no_toml() -> None:
+    for text in (f"a = {'9' * 5000}", f"a = {'[' * 100_000}"):
+        with pytest.raises(ConfigError, match=r"x\.toml: not valid TOML"):
+            parse(text, "x.toml")
 
 
 def test_not_toml_and_not_there(tmp_path: Path) -> None:

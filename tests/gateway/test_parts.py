@@ -61,6 +61,12 @@ def test_silence_and_faults_are_told_apart_and_latched_ones_stay() -> None:
     assert assess(health, WELL, WELL, energised=False).usable == (True, True)
 
 
+def test_a_motor_heard_in_part_is_told_in_the_words_of_its_driver() -> None:
+    half = SILENT._replace(silence="heartbeats arrive, but Get_Encoder_Estimates never came")
+    found = assess(monitor(), half, WELL, energised=False)
+    assert [str(fault) for fault in found.faults] == [f"left: {half.silence}"]
+
+
 def test_a_motor_lost_while_energised_is_not_taken_back_before_rest() -> None:
     health = monitor()
     assess(health, SILENT, WELL)

@@ -73,6 +73,7 @@ def test_extended_and_error_frames_are_not_commands(host: can.BusABC, far_end: c
     server = SimulationServer(MOBY, {"can0": far_end})
     host.send(can.Message(arbitration_id=LEFT | 0x02, is_extended_id=True))
     host.send(can.Message(arbitration_id=LEFT | 0x02, is_extended_id=False, is_error_frame=True))
+    host.send(can.Message(arbitration_id=LEFT | 0x02, is_extended_id=False, is_fd=True))
     for _ in range(110):
         server.step()
     heartbeats = [message for message in drain(host) if message.arbitration_id == LEFT | 0x01]
@@ -117,7 +118,12 @@ class FlakyBus:
 
 @pytest.mark.parametrize(
     "error",
-    [OSError(errno.ENETDOWN, "Network is down"), can.CanOperationError("No buffer space available", errno.ENOBUFS)],
+    [
+        OSError(errno.ENETDOWN, "Network is down"),
+        can.CanOperationError("No buffer space available", errno.ENOBUFS),
+        ValueError("invalid literal for int() with base 16: b'zz'"),
+        OverflowError("int too big to convert"),
+    ],
 )
 def test_failing_bus_is_survived_counted_and_logged_once(error: Exception, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
