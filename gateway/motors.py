@@ -120,7 +120,7 @@ class Motors:
         """Frames that release every motor; valid in any state."""
         return [frame for group in self._robot.groups for frame in group.driver.coast_frames()]
 
-    def stop_frames(self) -> list[CanFrame]:
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
         """Frames that stop every motor when the core can no longer be trusted."""
         return [frame for group in self._robot.groups for frame in group.driver.stop_frames()]
 
