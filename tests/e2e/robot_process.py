@@ -52,7 +52,10 @@ class RobotProcess:
 
     def end(self, number: int = signal.SIGTERM) -> int:
         self.process.send_signal(number)
-        return self.process.wait(60.0)
+        try:
+            return self.process.wait(60.0)
+        finally:
+            self.process.kill()  # in case it has not ended
 
     def listens_to(self, number: int) -> bool:
         """Whether the process has a handler for this signal."""

@@ -1,12 +1,7 @@
 """What is done to a running service from outside: its output is not read, it is signalled, frozen, killed."""
 
-import os
-import pty
 import signal
-import termios
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -14,38 +9,10 @@ import pytest
 from gateway.messages import StateMessage
 from gateway.types import Mode
 from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, standing
+from tests.unread import UNREAD, Unread
 
 GO = (0.3, 0.0, 0.0)
 FROZEN_S = 1.5  # less than the lease after which Zenoh would throw the commands away with the connection
-
-
-@contextmanager
-def stopped_terminal() -> Iterator[int]:
-    """A terminal at which somebody pressed Ctrl-S."""
-    keyboard, terminal = pty.openpty()
-    termios.tcflow(terminal, termios.TCOOFF)
-    try:
-        yield terminal
-    finally:
-        os.close(keyboard)
-        os.close(terminal)
-
-
-@contextmanager
-def full_pipe() -> Iterator[int]:
-    """A pipe that nobody reads and that takes nothing more."""
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    for size in (4096, 1):
-        with suppress(BlockingIOError):
-            while True:
-                os.write(writing, b"x" * size)
-    os.set_blocking(writing, True)
-    try:
-        yield writing
-    finally:
-        os.close(reading)
-        os.close(writing)
 
 
 def moving(robot: RobotProcess) -> StateMessage:
@@ -53,9 +20,9 @@ def moving(robot: RobotProcess) -> StateMessage:
     return robot.stream(*GO, until=faster_than(0.25))
 
 
-@pytest.mark.parametrize("blocked", [stopped_terminal, full_pipe])
+@pytest.mark.parametrize("blocked", UNREAD)
 def test_an_output_that_nobody_reads_holds_up_no_cycle_no_stop_and_no_end(
-    blocked: Callable[[], AbstractContextManager[int]], tmp_path: Path, free_port: int
+    blocked: Unread, tmp_path: Path, free_port: int
 ) -> None:
     with blocked() as stderr, RobotProcess("moby", tmp_path, free_port, stderr=stderr) as robot:
         cycle = moving(robot).status.cycle
