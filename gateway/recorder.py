@@ -66,9 +66,12 @@ class Recorder:
         self._backoff_s = FIRST_BACKOFF_S
         self._retry_at = 0.0
         self._starting = False
+        self._orders: SimpleQueue[Hello | None] = SimpleQueue()
         self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
         self._child: RecorderChild | None = RecorderChild(self._hello)
         self._wait_until_ready(self._child)
+        # A thread that is there already: starting one waits until it runs, and the disk with the program may hang.
+        Thread(target=self._start_others, name="recorder start", daemon=True).start()
 
     @property
     def dropped(self) -> int:
@@ -113,11 +116,12 @@ class Recorder:
             self._take_started()
         elif time.monotonic() >= self._retry_at:
             self._starting = True
-            Thread(target=self._start, name="recorder start", daemon=True).start()
+            self._orders.put(self._hello)
         self._send_backlog(BACKLOG_SENDS)
 
     def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
         """Flush, write the footer, end the process; False if something is not on the disk by then."""
+        self._orders.put(None)
         deadline = time.monotonic() + timeout
         child = self._child
         if child is None:
@@ -183,12 +187,12 @@ class Recorder:
         self._retry_at = time.monotonic() + self._backoff_s
         self._backoff_s = min(2 * self._backoff_s, LONGEST_BACKOFF_S)
 
-    def _start(self) -> None:
-        """In a thread of its own: the disk that the process is started from may hang."""
-        try:
-            self._started.put(RecorderChild(self._hello))
-        except OSError as error:
-            self._started.put(error)
+    def _start_others(self) -> None:
+        while (hello := self._orders.get()) is not None:
+            try:
+                self._started.put(RecorderChild(hello))
+            except OSError as error:
+                self._started.put(error)
 
     def _take_started(self) -> None:
         if self._started.empty():
