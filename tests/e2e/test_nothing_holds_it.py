@@ -20,6 +20,10 @@ def moving(robot: RobotProcess) -> StateMessage:
     return robot.stream(*GO, until=faster_than(0.25))
 
 
+def heard_and_standing(state: StateMessage) -> bool:
+    return state.status.winner == "teleop" and standing(state)
+
+
 @pytest.mark.parametrize("blocked", UNREAD)
 def test_an_output_that_nobody_reads_holds_up_no_cycle_no_stop_and_no_end(
     blocked: Unread, tmp_path: Path, free_port: int
@@ -72,7 +76,7 @@ def test_a_latched_emergency_stop_outlives_a_kill_and_a_reset_ends_it(tmp_path: 
     assert (tmp_path / "moby.estop").is_file(), "whoever was told of it may rely on it"
 
     with RobotProcess("moby", tmp_path, free_port) as robot:
-        seen = robot.stream(0.0, 0.0, 0.0, until=lambda state: state.status.winner == "teleop")
+        seen = robot.stream(0.0, 0.0, 0.0, until=heard_and_standing)
         assert seen.status.mode is Mode.ESTOP
         assert seen.extras["estop_latch"] == {"on_disk": True, "problem": None}
         assert "the emergency stop is kept: emergency stop requested, set 20" in robot.log.read_text()
