@@ -151,8 +151,14 @@ class Engine:
         return self._motors.coast_frames()
 
     def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
-        """Frames that brake every motor when this core can no longer be trusted."""
+        """Frames that stop every motor when this core can no longer be trusted; sent until it is at rest."""
         return self._motors.stop_frames(now_ns=now_ns)
+
+    def at_rest(self, frames: Sequence[CanFrame], *, now_ns: int) -> bool:
+        """Takes frames in, and nothing else: whether every motor reports that it stands. Beside `stop_frames`."""
+        self._motors.receive(frames)
+        self._motors.measure(now_ns)
+        return None not in self._motors.speeds and not self._motors.turning()
 
     # receive and measure
 

@@ -14,6 +14,8 @@ import logging
 import time
 from collections import deque
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
@@ -63,8 +65,13 @@ class Recorder:
         self._dropped = 0  # apart from what the running process has lost
         self._backoff_s = FIRST_BACKOFF_S
         self._retry_at = 0.0
+        self._starting = False
+        self._orders: SimpleQueue[Hello | None] = SimpleQueue()
+        self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
         self._child: RecorderChild | None = RecorderChild(self._hello)
         self._wait_until_ready(self._child)
+        # A thread that is there already: starting one waits until it runs, and the disk with the program may hang.
+        Thread(target=self._start_others, name="recorder start", daemon=True).start()
 
     @property
     def dropped(self) -> int:
@@ -105,12 +112,16 @@ class Recorder:
             self._take_report(self._child)
             if not self._child.running():
                 self._bury(self._child)
+        elif self._starting:
+            self._take_started()
         elif time.monotonic() >= self._retry_at:
-            self._restart()
+            self._starting = True
+            self._orders.put(self._hello)
         self._send_backlog(BACKLOG_SENDS)
 
     def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
         """Flush, write the footer, end the process; False if something is not on the disk by then."""
+        self._orders.put(None)
         deadline = time.monotonic() + timeout
         child = self._child
         if child is None:
@@ -176,12 +187,23 @@ class Recorder:
         self._retry_at = time.monotonic() + self._backoff_s
         self._backoff_s = min(2 * self._backoff_s, LONGEST_BACKOFF_S)
 
-    def _restart(self) -> None:
-        try:
-            self._child = RecorderChild(self._hello)
-        except OSError as error:
-            self._retry_at = time.monotonic() + self._backoff_s
-            self.error = f"the recorder process cannot be started: {error}"
+    def _start_others(self) -> None:
+        while (hello := self._orders.get()) is not None:
+            try:
+                self._started.put(RecorderChild(hello))
+            except OSError as error:
+                self._started.put(error)
+
+    def _take_started(self) -> None:
+        if self._started.empty():
+            return
+        self._starting = False
+        started = self._started.get()
+        if isinstance(started, RecorderChild):
+            self._child = started
+            return
+        self._retry_at = time.monotonic() + self._backoff_s
+        self.error = f"the recorder process cannot be started: {started}"
 
     def _keep(self, cycle: int, packet: bytes) -> None:
         """Into the backlog; once that was full, only when half of it has gone, so that gaps are few and long."""

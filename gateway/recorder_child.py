@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 
 from gateway.record import PACKET_LIMIT, Hello, Report, decode_report, encode
+from gateway.signals import ENDING
 
 SOCKET_BYTES = 1 << 20  # asked for; the kernel caps it at net.core.wmem_max
 REPORT_BYTES = 65536
-ENDING_SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
 class TooLongError(ValueError):
@@ -131,7 +131,7 @@ def _spawn(descriptor: int) -> subprocess.Popen[bytes]:
     """
     root = str(Path(__file__).parent.parent)
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "gateway.recorder_process", str(descriptor)],

@@ -3,27 +3,36 @@
 How this works
 --------------
 Everything outside the core is an edge given to the constructor. The loop never waits for one of them: buses drop,
-the link hands over to its own threads, the recorder is another process. A bug in the core ends in one handler, here:
-stop frames, flush, exit code 70; the motors' own watchdogs guard what is left.
+the link hands over to its own threads, log lines go through a queue, the recorder is another process, the latch of the
+emergency stop has a thread. An edge that raises is an edge that has gone: without the link the robot comes to rest as
+for a silent commander and the service ends, without the recorder it drives on.
+A bug in the core ends in one handler, here: stop frames in every period until the motors report rest, then release,
+exit code 70; the motors' own watchdogs guard what is left.
 """
 
 import gc
 import logging
-import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
-from types import FrameType
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Protocol, TypeVar
 
+from drivers.interface import CanFrame
 from gateway.can_bus import BusEdge
-from gateway.config import RobotConfig
+from gateway.config import ConfigError, RobotConfig
+from gateway.control.limits import stopping_time
 from gateway.engine import Engine
+from gateway.estop_gate import EstopGate, News
+from gateway.estop_latch import Kept
+from gateway.signals import EndRequest
+from gateway.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
 from gateway.systemd import Notifier, Readiness
 from gateway.types import (
     CycleTiming,
     Event,
     Inputs,
     Level,
+    Mode,
     Odometry,
     Outputs,
     Refusal,
@@ -35,9 +44,12 @@ from gateway.types import (
 )
 
 logger = logging.getLogger(__name__)
+_T = TypeVar("_T")
 
 EXIT_CORE_BUG = 70  # EX_SOFTWARE of sysexits.h
-SHUTDOWN_LIMIT_NS = 8_000_000_000  # a robot that will not come to rest must not keep the process alive for ever
+EXIT_LINK_LOST = 69  # EX_UNAVAILABLE
+SHUTDOWN_GRACE_NS = 1_000_000_000
+_NOTHING: tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]] = ((), (), ())
 _LOG_LEVELS = {Level.INFO: logging.INFO, Level.WARNING: logging.WARNING, Level.ERROR: logging.ERROR}
 
 
@@ -72,8 +84,25 @@ class RecorderEdge(Protocol):
     def health(self) -> dict[str, object]: ...
 
 
+class LatchEdge(Protocol):
+    """What the loop needs of the latch of the emergency stop."""
+
+    @property
+    def kept(self) -> Kept | None: ...
+
+    @property
+    def on_disk(self) -> bool: ...
+
+    @property
+    def problem(self) -> str | None: ...
+
+    def want(self, *, stopped: bool) -> None: ...
+
+    def health(self) -> dict[str, object]: ...
+
+
 class Service:
-    """Runs one robot until a signal, a finished shutdown or a bug. `after_cycle` is called last in every cycle."""
+    """Runs one robot until `ending` asks for its end, or a bug. `after_cycle` is called last in every cycle."""
 
     def __init__(
         self,
@@ -82,44 +111,53 @@ class Service:
         bus: BusEdge,
         link: Link,
         recorder: RecorderEdge,
+        latch: LatchEdge,
         notifier: Notifier,
+        ending: EndRequest,
         after_cycle: Callable[[int, Outputs], None] | None = None,
     ) -> None:
         self._engine = Engine(config)
         self._bus = bus
         self._link = link
         self._recorder = recorder
+        self._latch = latch
         self._notifier = notifier
+        self._ending = ending
         self._after_cycle = after_cycle
         self._period_ns = round(1e9 / config.loop.rate)
+        self._stopping_ns = _stopping_ns(config)
         self._cycle = 0
         self._overruns = 0
+        self._unrecorded = 0  # cycles the recorder raised at
+        self._recorder_error: str | None = None
+        self._link_lost = False
+        self._bus_error: str | None = None
         self._stop_since_ns: int | None = None
-        self._stop_requested = False
+        self._exit_code = 0
         self._readiness = Readiness(notifier, time.monotonic_ns())
+        self._gate = EstopGate()
+        self._own_events: list[Event] = []
+        if latch.kept is not None:
+            self._own_events.append(Event(Level.ERROR, "estop_kept", f"the emergency stop is kept: {latch.kept.note}"))
 
     def stop(self) -> None:
-        """Ask for an orderly end: ramp to rest, release, return from `run`. Safe in a signal handler."""
-        self._stop_requested = True
+        """Ask for an orderly end: ramp to rest, release, return from `run`."""
+        self._ending.ask("the service itself")
 
     def run(self) -> int:
-        """The loop; returns the exit code."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+        """The loop; returns the exit code. Raises ConfigError for what only the first use of an interface can tell."""
         gc.collect()
         gc.freeze()
         try:
             self._loop()
-        except Exception:
-            logger.exception("bug in the core: stopping the motors")
-            self._emergency_stop()
+        except ConfigError:
+            self._end_broken()
+            raise
+        except Exception as error:
+            self._end_broken(error)
             return EXIT_CORE_BUG
-        self._bus.send(self._engine.coast_frames(), time.monotonic_ns())
-        return 0
-
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        logger.info("signal %d: coming to rest", number)
-        self.stop()
+        self._send(self._engine.coast_frames)
+        return self._exit_code
 
     def _loop(self) -> None:
         deadline_ns = time.monotonic_ns()
@@ -148,17 +186,17 @@ class Service:
         frames, bus_events = self._bus.receive(now_ns)
         if bus_events:
             self._readiness.hear(bus_events)
-        commands, refusals, requests = self._link.drain(now_ns)
+        commands, refusals, requests = self._drain(now_ns)
         inputs = Inputs(
             cycle=self._cycle,
             now_ns=now_ns,
             frames=tuple(frames),
             commands=tuple(commands),
             refusals=tuple(refusals),
-            requests=(*requests, *self._shutdown_request(now_ns)),
+            requests=(*requests, *self._kept_stop(now_ns), *self._shutdown_request(now_ns)),
             bus_events=tuple(bus_events),
             overruns=self._overruns,
-            dropped_records=self._recorder.dropped,
+            dropped_records=self._dropped_records(),
         )
         outputs = self._engine.step(inputs)
         self._bus.send(outputs.frames, now_ns)
@@ -167,42 +205,171 @@ class Service:
         wall_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
         done_ns = time.monotonic_ns()
         work_ns = done_ns - now_ns
-        self._recorder.put(inputs, outputs, CycleTiming(late_ns, work_ns, wall_ns - work_ns))
+        self._record(inputs, outputs, CycleTiming(late_ns, work_ns, wall_ns - work_ns))
         return outputs
 
-    def _shutdown_request(self, now_ns: int) -> tuple[Request, ...]:
-        if not self._stop_requested or self._stop_since_ns is not None:
+    def _kept_stop(self, now_ns: int) -> tuple[Request, ...]:
+        """The emergency stop of before the start, in the first cycle."""
+        if self._cycle > 0 or self._latch.kept is None:
             return ()
+        return (Request(RequestKind.ESTOP, 0, now_ns),)
+
+    def _shutdown_request(self, now_ns: int) -> tuple[Request, ...]:
+        if self._ending.by is None or self._stop_since_ns is not None:
+            return ()
+        logger.info("%s: coming to rest", self._ending.by)
         self._stop_since_ns = now_ns
         self._notifier.stopping()
         return (Request(RequestKind.SHUTDOWN, 0, now_ns),)
 
     def _shutdown_overdue(self, now_ns: int) -> bool:
-        return self._stop_since_ns is not None and now_ns - self._stop_since_ns > SHUTDOWN_LIMIT_NS
+        """A robot that will not come to rest must not keep the process alive for ever."""
+        # Twice: degraded driving has half the acceleration.
+        limit_ns = 2 * self._stopping_ns + REST_TIMEOUT_NS + SHUTDOWN_GRACE_NS
+        return self._stop_since_ns is not None and now_ns - self._stop_since_ns > limit_ns
+
+    # what is told
 
     def _tell(self, outputs: Outputs, now_ns: int) -> None:
-        for reply in outputs.replies:
-            self._link.reply(reply)
-        for event in outputs.events:
-            logger.log(_LOG_LEVELS[event.level], "%s: %s", event.code, event.text)
-        if outputs.odometry is not None or outputs.status is not None or outputs.events:
-            extras: dict[str, object] = {} if outputs.status is None else {"recording": self._recorder.health()}
-            self._link.publish(
-                odometry=outputs.odometry,
-                status=outputs.status,
-                events=outputs.events,
-                now_ns=now_ns,
-                extras=extras,
-            )
+        stopped = outputs.mode is Mode.ESTOP
+        self._latch.want(stopped=stopped)
+        events, self._own_events = (*self._own_events, *outputs.events), []
+        news = News(now_ns, outputs.replies, events, outputs.status)
+        on_disk, problem = self._latch.on_disk, self._latch.problem
+        for due in self._gate.step(news, stopped=stopped, on_disk=on_disk, problem=problem):
+            self._announce(due)
+        if outputs.odometry is not None:
+            self._publish(now_ns, odometry=outputs.odometry)
         self._notifier.feed_watchdog(now_ns)
         if outputs.status is not None:
-            self._recorder.poll()
-            self._readiness.tell(outputs.status, now_ns)
+            self._try(self._recorder.poll, None, self._lose_recorder)
         if self._after_cycle is not None:
-            self._after_cycle(now_ns, outputs)
+            self._try(partial(self._after_cycle, now_ns, outputs), None, self._lose_link)
 
-    def _emergency_stop(self) -> None:
-        """The core cannot be trusted any more, its constant stop frames can."""
-        now_ns = time.monotonic_ns()
-        self._bus.send(self._engine.stop_frames(now_ns=now_ns), now_ns)
-        self._bus.send(self._engine.coast_frames(), time.monotonic_ns())
+    def _announce(self, news: News) -> None:
+        for reply in news.replies:
+            self._try(partial(self._link.reply, reply), None, self._lose_link)
+        for event in news.events:
+            logger.log(_LOG_LEVELS[event.level], "%s: %s", event.code, event.text)
+        if news.status is not None or news.events:
+            self._publish(news.now_ns, status=news.status, events=news.events)
+        if news.status is not None:
+            self._readiness.tell(news.status, news.now_ns)
+
+    def _publish(
+        self,
+        now_ns: int,
+        *,
+        odometry: Odometry | None = None,
+        status: Status | None = None,
+        events: Sequence[Event] = (),
+    ) -> None:
+        """Also tried once commands cannot come any more: whoever still listens should know."""
+        extras = {} if status is None else self._extras()
+        call = partial(
+            self._link.publish, odometry=odometry, status=status, events=events, now_ns=now_ns, extras=extras
+        )
+        self._try(call, None, self._lose_link)
+
+    def _extras(self) -> dict[str, object]:
+        none: dict[str, object] = {}
+        recording = self._try(self._recorder.health, none, self._lose_recorder)
+        if self._recorder_error is not None:
+            recording = recording | {"error": self._recorder_error}
+        return {"recording": recording, "estop_latch": self._latch.health()}
+
+    # edges that may have gone
+
+    @staticmethod
+    def _try(call: Callable[[], _T], otherwise: _T, lost: Callable[[Exception], None]) -> _T:
+        """What an edge answers; `otherwise` if it raises."""
+        try:
+            return call()
+        except Exception as error:
+            lost(error)
+            return otherwise
+
+    def _drain(self, now_ns: int) -> tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]]:
+        if self._link_lost:
+            return _NOTHING
+        return self._try(partial(self._link.drain, now_ns), _NOTHING, self._lose_link)
+
+    def _lose_link(self, error: Exception) -> None:
+        """Nobody can command any more, which is silence; a new process may do better."""
+        if self._link_lost:
+            return
+        self._link_lost = True
+        self._own_events.append(Event(Level.ERROR, "link_lost", f"no commands can come any more: {error}"))
+        if self._ending.by is None:
+            self._exit_code = EXIT_LINK_LOST
+        self._ending.ask(f"link lost ({error})")
+
+    def _dropped_records(self) -> int:
+        return self._unrecorded + self._try(lambda: self._recorder.dropped, 0, self._lose_recorder)
+
+    def _record(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+        self._try(partial(self._recorder.put, inputs, outputs, timing), None, self._lose_record)
+
+    def _lose_record(self, error: Exception) -> None:
+        self._unrecorded += 1
+        self._lose_recorder(error)
+
+    def _lose_recorder(self, error: Exception) -> None:
+        text = f"the recorder's edge failed: {error}"
+        if text != self._recorder_error:
+            self._recorder_error = text
+            self._own_events.append(Event(Level.WARNING, "recorder_lost", text))
+
+    # the end of a core that is broken
+
+    def _end_broken(self, error: Exception | None = None) -> None:
+        """Stop frames, which do not need the core, until the motors report rest or the time is over; then release."""
+        self._send_stop(time.monotonic_ns())
+        if error is not None:
+            logger.critical("bug in the core: stopping the motors", exc_info=error)
+            event = Event(Level.ERROR, "core_bug", f"{type(error).__name__}: {error}")
+            self._publish(time.monotonic_ns(), events=(event,))
+        standing_ns: int | None = None
+        for now_ns in self._periods(self._stopping_ns + REST_DWELL_NS):
+            standing_ns = (standing_ns or now_ns) if self._at_rest(now_ns) else None
+            if standing_ns is not None and now_ns - standing_ns >= REST_DWELL_NS:
+                break
+            self._send_stop(now_ns)
+            self._notifier.feed_watchdog(now_ns)
+        self._send(self._engine.coast_frames)
+
+    def _periods(self, limit_ns: int) -> Iterator[int]:
+        """The time of each period from now on, for so long."""
+        deadline_ns = time.monotonic_ns()
+        end_ns = deadline_ns + limit_ns
+        while deadline_ns < end_ns:
+            deadline_ns += self._period_ns
+            yield self._wait(deadline_ns)
+
+    def _at_rest(self, now_ns: int) -> bool:
+        """As far as the motors can still be heard."""
+
+        def read() -> bool:
+            frames, _ = self._bus.receive(now_ns)
+            return self._engine.at_rest(frames, now_ns=now_ns)
+
+        return self._try(read, False, self._lose_bus)
+
+    def _send_stop(self, now_ns: int) -> None:
+        self._send(partial(self._engine.stop_frames, now_ns=now_ns))
+
+    def _send(self, frames: Callable[[], Sequence[CanFrame]]) -> None:
+        """Whatever becomes of it, the end goes on."""
+        self._try(lambda: self._bus.send(frames(), time.monotonic_ns()), None, self._lose_bus)
+
+    def _lose_bus(self, error: Exception) -> None:
+        text = f"{type(error).__name__}: {error}"
+        if text != self._bus_error:
+            self._bus_error = text
+            logger.error("while ending: %s", text)
+
+
+def _stopping_ns(config: RobotConfig) -> int:
+    limits = config.limits
+    velocity, acceleration, jerk = (limit.as_twist() for limit in (limits.velocity, limits.acceleration, limits.jerk))
+    return round(1e9 * stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk))

@@ -1,6 +1,5 @@
 """What the service manager is told: sd_notify without a dependency (systemd's sd_notify(3)), and when we are ready."""
 
-import contextlib
 import logging
 import os
 import socket
@@ -35,9 +34,9 @@ class Notifier:
         self._interval_ns = int(interval_us) * 1000 // 3 if interval_us and ours else None
         self._fed_ns = 0
 
-    def ready(self, status: str) -> None:
-        """The service does its job from now on."""
-        self._send(f"READY=1\nSTATUS={status}")
+    def ready(self, status: str) -> bool:
+        """The service does its job from now on; False if that could not be said now."""
+        return self._send(f"READY=1\nSTATUS={status}")
 
     def status(self, text: str) -> None:
         """One line for `systemctl status`."""
@@ -63,10 +62,15 @@ class Notifier:
             self._socket.close()
             self._socket = None
 
-    def _send(self, text: str) -> None:
-        if self._socket is not None:
-            with contextlib.suppress(OSError):  # a service manager that does not listen must not stop the robot
-                self._socket.send(text.encode())
+    def _send(self, text: str) -> bool:
+        """Never waits, and a service manager that does not listen does not stop the robot."""
+        if self._socket is None:
+            return True
+        try:
+            self._socket.send(text.encode(errors="replace"))
+        except OSError:
+            return False
+        return True
 
 
 class Readiness:
@@ -95,11 +99,10 @@ class Readiness:
         silent = [motor.name for motor in status.motors if motor.state == "silent"]
         missing = None if self._ready else self._missing(silent, now_ns)
         if not self._ready and missing is None:
-            self._ready = True
             self._told_ns = now_ns
-            if silent:
+            self._ready = self._notifier.ready(_line(status))
+            if self._ready and silent:
                 logger.warning("declared absent: %s", ", ".join(silent))
-            self._notifier.ready(_line(status))
         elif self._told_ns is None or now_ns - self._told_ns > STATUS_LINE_NS:
             self._told_ns = now_ns
             if missing is None:

@@ -1,20 +1,23 @@
 """`drivegate run`: the daemon."""
 
 import logging
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gateway import realtime, robot_files
+from gateway import log_queue, realtime, robot_files
 from gateway.can_bus import CanBuses
 from gateway.check import examine
 from gateway.config import RobotConfig, load
+from gateway.estop_latch import EstopFile, EstopLatch
 from gateway.recorder import NullRecorder, Recorder
 from gateway.service import Service
+from gateway.signals import EndRequest
 from gateway.systemd import Notifier
 from gateway.types import Outputs
 from gateway.zenoh_link import ZenohLink
@@ -28,10 +31,16 @@ def run(
     file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
     simulate: Annotated[bool, typer.Option("--simulate", help="Drive the simulated robot, not a bus.")] = False,
     out: Annotated[Path | None, typer.Option(help="Directory for sessions instead of the robot file's.")] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(help="Directory that keeps a latched emergency stop; else $STATE_DIRECTORY, else that of --out."),
+    ] = None,
     endpoint: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on instead.")] = None,
 ) -> None:
-    """Run the drive gateway of one robot until SIGTERM or SIGINT."""
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
+    """Run the drive gateway of one robot until SIGTERM, or any other signal that would end it."""
+    ending = EndRequest()
+    ending.listen()
+    log_queue.take_over(level=logging.INFO, layout="%(levelname)s %(name)s: %(message)s")
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     path = robot_files.find(file)
     config, text = load(path)
@@ -42,12 +51,24 @@ def run(
         # The bus first: a second service for the same motors is refused before it records or announces anything.
         bus = SimulatedBus(config) if simulate else CanBuses(config)
         stack.callback(bus.close)
+        latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
+        stack.callback(latch.close)
         recorder = Recorder(config, text, str(path)) if config.recording.enabled else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))
         realtime.enter()  # now that every thread of the link exists
         after_cycle = _truth_teller(bus, link) if isinstance(bus, SimulatedBus) else None
-        code = Service(config, bus=bus, link=link, recorder=recorder, notifier=notifier, after_cycle=after_cycle).run()
+        service = Service(
+            config,
+            bus=bus,
+            link=link,
+            recorder=recorder,
+            latch=latch,
+            notifier=notifier,
+            ending=ending,
+            after_cycle=after_cycle,
+        )
+        code = service.run()
     raise typer.Exit(code)
 
 
@@ -56,6 +77,14 @@ def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | No
     recording = config.recording if out is None else config.recording.model_copy(update={"directory": str(out)})
     zenoh = config.zenoh if endpoint is None else config.zenoh.model_copy(update={"listen": [endpoint]})
     return config.model_copy(update={"recording": recording, "zenoh": zenoh})
+
+
+def _state_directory(option: Path | None, config: RobotConfig, environment: Mapping[str, str]) -> Path:
+    """Systemd's StateDirectory= may name several, the first counts."""
+    if option is not None:
+        return option
+    given, _, _ = environment.get("STATE_DIRECTORY", "").partition(":")
+    return Path(given or config.recording.directory)
 
 
 def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> Callable[[int, Outputs], None]:

@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from threading import Event
+from threading import Event, Thread
 from typing import Annotated
 
 import can
@@ -23,6 +23,7 @@ from replay.sim.interface import MotorsInterface
 from replay.sim.server import SimulationServer
 
 TRUTH_RATE_HZ = 20.0
+_ENDING = {signal.SIGTERM, signal.SIGINT}
 
 
 def sim(
@@ -42,13 +43,19 @@ def sim(
     config, _ = load(path)
     examine(config, str(path))
     ended = Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: ended.set())
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    Thread(target=_await_signal, args=(ended,), name="signals", daemon=True).start()
     with ExitStack() as stack:
         server = SimulationServer(config, _interfaces(config, channel, stack), tick_ns=tick * SECOND_NS // 1000)
         if endpoint is not None:
             stack.enter_context(_telling(server, config.robot.name, endpoint, ended))
         server.run(ended)
+
+
+def _await_signal(ended: Event) -> None:
+    """In a thread: a handler that sets the event may interrupt the very wait for it, which then never ends."""
+    signal.sigwait(_ENDING)
+    ended.set()
 
 
 def _interfaces(config: RobotConfig, channel: str | None, stack: ExitStack) -> dict[str, can.BusABC]:

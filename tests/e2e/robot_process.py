@@ -23,20 +23,22 @@ STREAM_HZ = 50.0
 class RobotProcess:
     """`drivegate run` on loopback. Ends with SIGTERM unless the test ended it."""
 
-    def __init__(self, name: str, directory: Path, port: int, *arguments: str) -> None:
+    def __init__(
+        self, name: str, directory: Path, port: int, *arguments: str, stderr: int | None = None, wait: bool = True
+    ) -> None:
         self.name = name
         self.directory = directory
         self.endpoint = f"tcp/127.0.0.1:{port}"
         self.log = directory / "service.log"
         command = [sys.executable, "-m", "gateway", "run", str(ROBOTS / f"{name}.toml")]
-        with self.log.open("wb") as log:
+        with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 [*command, *(arguments or ("--simulate",)), "--out", str(directory), "--endpoint", self.endpoint],
-                stderr=log,
+                stderr=log if stderr is None else stderr,
                 stdin=subprocess.DEVNULL,
             )
         self.client = Client(name, connect=[self.endpoint])
-        assert self.client.wait_alive(START_S), self.log.read_text()
+        assert not wait or self.client.wait_alive(START_S), self.log.read_text()
 
     def __enter__(self) -> Self:
         return self
@@ -50,7 +52,16 @@ class RobotProcess:
 
     def end(self, number: int = signal.SIGTERM) -> int:
         self.process.send_signal(number)
-        return self.process.wait(60.0)
+        try:
+            return self.process.wait(60.0)
+        finally:
+            self.process.kill()  # in case it has not ended
+
+    def listens_to(self, number: int) -> bool:
+        """Whether the process has a handler for this signal."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        (caught,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
+        return bool(int(caught, 16) >> (number - 1) & 1)
 
     def stream(
         self,

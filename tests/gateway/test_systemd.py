@@ -125,3 +125,13 @@ def test_the_status_line_tells_mode_and_motion_once_per_second(manager: Manager)
     readiness.hear([DOWN])
     readiness.tell(driving._replace(standing=None), 3 * STATUS_LINE_NS)
     assert manager.heard()[1:] == ["STATUS=drive, moving", "STATUS=drive, motion unknown"]
+
+
+def test_a_manager_whose_queue_is_full_holds_up_nobody_and_hears_ready_later(manager: Manager) -> None:
+    for _ in range(1000):
+        manager.notifier.status("the queue is short")
+    readiness = Readiness(manager.notifier, 0)
+    readiness.tell(STATUS, 1)
+    assert not any(text.startswith("READY") for text in manager.heard())
+    readiness.tell(STATUS, 2)
+    assert manager.heard() == [f"READY=1\nSTATUS={LINE}"]

@@ -64,11 +64,12 @@ def robot_file(name: str, directory: Path, channel: str) -> Path:
     return path
 
 
-def drivegate(*arguments: str, log: Path) -> subprocess.Popen[bytes]:
-    """A process of ours."""
+def drivegate(*arguments: str, log: Path, stderr: int | None = None) -> subprocess.Popen[bytes]:
+    """A process of ours; its errors go to the log too, or to a descriptor given."""
     with log.open("ab") as output:
         command = [sys.executable, "-m", "gateway", *arguments]
-        return subprocess.Popen(command, stdout=output, stderr=output, stdin=subprocess.DEVNULL)
+        errors = output if stderr is None else stderr
+        return subprocess.Popen(command, stdout=output, stderr=errors, stdin=subprocess.DEVNULL)
 
 
 def end(process: subprocess.Popen[bytes], number: int = signal.SIGTERM) -> int:
@@ -105,7 +106,14 @@ class VcanRobot:
     """The three of them. The service must never need a restart; the simulated robot can be killed and started."""
 
     def __init__(
-        self, name: str, directory: Path, port: int, *, channel: str = "vcan0", motors: str | None = None
+        self,
+        name: str,
+        directory: Path,
+        port: int,
+        *,
+        channel: str = "vcan0",
+        motors: str | None = None,
+        stderr: int | None = None,
     ) -> None:
         self.name = name
         self.directory = directory
@@ -116,9 +124,7 @@ class VcanRobot:
         self.endpoint, self.truth_endpoint = (f"tcp/127.0.0.1:{number}" for number in (port, port + 1))
         self._motors_channel = motors or channel
         self.motors: subprocess.Popen[bytes] | None = None
-        self.service = drivegate(
-            "run", str(self.file), "--out", str(self.sessions), "--endpoint", self.endpoint, log=self.log
-        )
+        self.service = self.start_service(stderr)
         self.client = Client(name, connect=[self.endpoint, self.truth_endpoint])
         try:
             self._await_service()
@@ -146,6 +152,15 @@ class VcanRobot:
         """Power off, without a word."""
         assert self.motors is not None
         end(self.motors, signal.SIGKILL)
+
+    def start_service(self, stderr: int | None = None) -> subprocess.Popen[bytes]:
+        """The service alone, its latch beside the sessions."""
+        places = ("--out", str(self.sessions), "--state", str(self.directory), "--endpoint", self.endpoint)
+        return drivegate("run", str(self.file), *places, log=self.log, stderr=stderr)
+
+    def restart_service(self) -> None:
+        """Another one, after the last has ended in whatever way."""
+        self.service = self.start_service()
 
     def _await_service(self) -> None:
         deadline = time.monotonic() + START_S
