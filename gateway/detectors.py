@@ -35,6 +35,7 @@ FREEZE_EXPECTED = 0.05  # of top speed, by which the other wheels say that it tu
 FREEZE_EXPECTED_TIME = 0.04  # ... for so long, s
 
 RUNAWAY_TIME = 0.05  # s; an impact is over by then
+RUNAWAY_SAMPLES = 6  # in a row; after a pause of the loop a single one may cover much time
 RUNAWAY_GROWTH = 0.05  # of top speed, beyond the setpoint
 RUNAWAY_RATE = 0.8  # top speeds per second; a slope or a push is slower
 
@@ -165,6 +166,7 @@ class RunawayDetector:
         self._before: tuple[float, float] | None = None  # speed and error of the last new sample
         self._begun = 0.0  # error when it began to grow
         self._time = 0.0
+        self._samples = 0
 
     def look(self, x: Sample) -> str | None:
         if x.setpoint is None or x.speed is None:
@@ -177,7 +179,10 @@ class RunawayDetector:
         before, self._before = self._before, (speed, error)
         beyond = error * speed > 0.0
         if before is None or not beyond or abs(error) <= abs(before[1]) or abs(speed) <= abs(before[0]):
-            self._begun, self._time = abs(error), 0.0
+            self._begun, self._time, self._samples = abs(error), 0.0, 0
+            return None
+        self._samples += 1
+        if self._samples < RUNAWAY_SAMPLES:
             return None
         growth, top = abs(error) - self._begun, self._limits.speed
         if self._time < RUNAWAY_TIME or growth < max(RUNAWAY_GROWTH, RUNAWAY_RATE * self._time) * top:

@@ -167,7 +167,10 @@ class Engine:
         if last_ns is None:
             self._first_ns = now_ns
             return self._period
-        return min(max(now_ns - last_ns, 0) * 1e-9, MAX_STEP_PERIODS * self._period)
+        elapsed, longest = max(now_ns - last_ns, 0) * 1e-9, MAX_STEP_PERIODS * self._period
+        if elapsed > longest:
+            self._health.look_anew()
+        return min(elapsed, longest)
 
     def _receive(self, inputs: Inputs) -> None:
         self._motors.receive(inputs.frames)

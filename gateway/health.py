@@ -82,7 +82,7 @@ class HealthMonitor:
         self._away: dict[int, int] = {}  # motors out of reach, and when that was last so
         all_well = (True,) * len(self._names)
         self._well = Health(all_well, all_well, all_well, ())
-        self._forget()
+        self.look_anew()
 
     def latch(self, fault: Fault) -> None:
         """A fault found elsewhere that only a reset may clear."""
@@ -95,13 +95,19 @@ class HealthMonitor:
     def reset(self) -> None:
         """Forget latched faults; those whose cause persists come back."""
         self._latched.clear()
-        self._forget()
+        self.look_anew()
 
     def forgive(self) -> None:
         """The robot is at rest and released: motors lost before may be tried again."""
         self._lost.clear()
         self._obeyed.clear()
-        self._forget()
+        self.look_anew()
+
+    def look_anew(self) -> None:
+        """What the motors did before says nothing about now: after a pause of the loop, a reset, or at rest."""
+        self._detectors = [
+            [(kind, detector(limits)) for kind, detector in DETECTORS.items()] for limits in self._limits
+        ]
 
     def assess(
         self,
@@ -182,8 +188,3 @@ class HealthMonitor:
     def _begin(self, index: int) -> None:
         """What a motor did before it was out of operation or out of reach says nothing about now."""
         self._detectors[index] = [(kind, detector(self._limits[index])) for kind, detector in DETECTORS.items()]
-
-    def _forget(self) -> None:
-        self._detectors = [
-            [(kind, detector(limits)) for kind, detector in DETECTORS.items()] for limits in self._limits
-        ]

@@ -76,7 +76,7 @@ class ClosedLoop:
         """The process dies, without a last frame, and a new one opens the buses then; nothing of it is left over."""
         self._latched = self._latched or self.engine.mode is Mode.ESTOP
         self.pause(until_ns)
-        self._overruns = 0
+        self._overruns = self._number = 0
         self.engine = Engine(self.config)
         self._opening_ns = until_ns
 

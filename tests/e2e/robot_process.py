@@ -101,6 +101,11 @@ def in_mode(*modes: Mode) -> Callable[[StateMessage], bool]:
     return lambda state: state.status.mode in modes
 
 
+def kept_out(source: str, reason: str) -> Callable[[StateMessage], bool]:
+    """Whether a source does not drive for this reason."""
+    return lambda state: any(one.name == source and one.reason == reason for one in state.status.sources)
+
+
 def faster_than(speed: float) -> Callable[[StateMessage], bool]:
     return lambda state: state.status.twist is not None and abs(state.status.twist.vx) > speed
 

@@ -12,10 +12,11 @@ import pytest
 
 from gateway.types import Mode
 from gateway.zenoh_session import open_session as open_zenoh
-from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, standing
+from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, kept_out, standing
 from tests.world import NAMES
 
 both = pytest.mark.parametrize("name", NAMES)
+ZERO_FIRST = "has to send zero first"
 
 
 @both
@@ -28,9 +29,10 @@ def test_drive_silence_stop_and_verify(name: str, tmp_path: Path, free_port: int
         assert all(motor.measured is not None for motor in state.status.motors)
 
         robot.await_state(in_mode(Mode.IDLE))
-        assert robot.stream(0.3, 0.0, 0.0, until=lambda state: state.status.winner == "teleop").status.mode is Mode.IDLE
+        assert robot.stream(0.3, 0.0, 0.0, until=kept_out("teleop", ZERO_FIRST)).status.mode is Mode.IDLE
 
         robot.start()
+        robot.stream(0.0, 0.0, 0.0, until=lambda state: state.status.winner == "autonomy", source="autonomy")
         robot.stream(0.3, 0.0, 0.0, until=faster_than(0.2), source="autonomy")
         state = robot.stream(0.0, 0.0, 0.4, until=lambda state: state.status.winner == "teleop")
         outranked = {source.name: source.reason for source in state.status.sources}["autonomy"]
@@ -39,11 +41,11 @@ def test_drive_silence_stop_and_verify(name: str, tmp_path: Path, free_port: int
         assert client.stop()
         robot.await_state(in_mode(Mode.ESTOP))
         robot.await_state(standing)
-        robot.stream(0.3, 0.0, 0.0, until=lambda state: state.status.winner == "teleop")
+        robot.stream(0.3, 0.0, 0.0, until=kept_out("teleop", ZERO_FIRST))
         answer = client.reset()
         assert not answer.ok
         assert answer.reason == "teleop commands motion; commands must be zero"
-        robot.await_state(lambda state: state.status.winner is None)
+        robot.await_state(kept_out("teleop", "silent for longer than its timeout of 0.3 s"))
         assert client.reset().ok
         robot.await_state(in_mode(Mode.IDLE))
 

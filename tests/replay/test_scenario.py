@@ -309,18 +309,15 @@ def test_what_happens_at_the_end_of_a_window_is_outside() -> None:
 # -- those that come with the package ---------------------------------------------------------------------------------
 
 SCENARIOS = sorted((ROBOTS.parent / "scenarios").glob("*.toml"))
-NOT_YET = {"frozen_encoder", "slope"}  # what a safe robot must do, and this one does not
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_bundled_scenarios(path: Path, request: pytest.FixtureRequest) -> None:
-    if path.stem in NOT_YET:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="the core does not keep this yet"))
+def test_bundled_scenarios(path: Path) -> None:
     assert run_scenario(load_scenario(path)).broken == ()
 
 
 def test_there_are_bundled_scenarios() -> None:
-    assert {path.stem for path in SCENARIOS} >= NOT_YET | {"bus_dropout", "emergency_stop"}
+    assert {path.stem for path in SCENARIOS} >= {"bus_dropout", "emergency_stop", "frozen_encoder", "slope"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

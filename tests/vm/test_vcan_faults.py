@@ -16,7 +16,7 @@ from gateway.messages import StateMessage
 from gateway.types import Mode
 from replay.verify import verify
 from tests.vm.test_vcan_drive import read_odrive
-from tests.vm.vcan_robot import GO, VcanRobot, at_speed, candump, drivegate, fresh_vcan0, heard, in_mode, shell
+from tests.vm.vcan_robot import GO, ZERO, VcanRobot, at_speed, candump, drivegate, fresh_vcan0, heard, in_mode, shell
 
 pytestmark = pytest.mark.vcan
 
@@ -167,6 +167,7 @@ def test_of_two_commanders_the_higher_priority_drives(faulty: Faulty) -> None:
     robot = faulty.robot
     back = (-0.2, 0.0, 0.0)
     robot.drive()
+    robot.client.send_twist(*ZERO, source="autonomy")
 
     def outranked(state: StateMessage) -> bool:
         robot.client.send_twist(*back, source="autonomy")
