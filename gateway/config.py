@@ -121,6 +121,14 @@ class Limits(_Section):
     jerk: Axes
     motor_speed: dict[Name, Limit]
 
+    def as_stopping(self) -> dict[str, Twist]:
+        """What the time and the way to rest follow from."""
+        return {
+            "velocity": self.velocity.as_twist(),
+            "acceleration": self.acceleration.as_twist(),
+            "jerk": self.jerk.as_twist(),
+        }
+
 
 class Stop(_Section):
     """What an emergency stop ends in (IEC 60204-1): category 1 releases the motors at rest, 2 goes on holding them."""

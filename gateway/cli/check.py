@@ -47,6 +47,12 @@ def _show(report: Report) -> None:
     for axis, unit in (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s")):
         possible, used = getattr(report.top_speeds, axis), getattr(report.reachable, axis)
         table.add_row(f"top speed {axis}", f"{used:.3g} {unit} (motors alone: {possible:.3g})")
+    stop = f"at most {report.stopping_time_s:.2f} s and {report.stopping_distance_m:.2f} m"
+    table.add_row("stop from top speed", stop)
+    if report.turning_share < 1.0:
+        held = f"held back to {report.turning_share:.0%}: faster turning would exceed limits.acceleration"
+        table.add_row("all top speeds at once", held)
+    table.add_row("torque at limits.acceleration", f"{report.torque_share:.0%} of the most strained motor")
     for bus in report.buses:
         style = "yellow" if bus.load > LOAD_WARNING else "green"
         text = f"[{style}]{bus.load:.1%}[/] worst case at {report.rate_hz:g} Hz, {bus.frames_per_second:.0f} frames/s"

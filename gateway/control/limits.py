@@ -44,29 +44,24 @@ def turning_excess(twist: Twist, acceleration: Twist) -> float:
 
 
 def stopping_time(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
-    """Longest time to rest from any twist within the limits, s.
+    """Longest time to rest from any twist within the limits, s; an upper bound.
 
-    With v = s v0 and w x v = s^2 c, at most TURNING_SHARE = k of the limits, ds/dt = (1 - k s^2)/L needs
-    L atanh(sqrt k)/sqrt k from s = 1 to rest; the jerk limit adds 1/rho once that is longer than 1/rho.
+    Straight on it is L + 1/rho, or 2 sqrt(L/rho) where full acceleration is never reached. In a curve w x v takes up
+    to TURNING_SHARE = k of the limits: with v = s v0, ds/dt = -(1 - k s^2)/L needs atanh(sqrt k)/sqrt k times as long.
     """
-    length = excess(velocity, acceleration)
-    rho = _slope(acceleration, jerk)
-    if length < 1.0 / rho:
-        length = 2.0 * sqrt(length / rho) - 1.0 / rho
-    return length * atanh(sqrt(TURNING_SHARE)) / sqrt(TURNING_SHARE) + 1.0 / rho
+    length, slowness = excess(velocity, acceleration), 1.0 / _slope(acceleration, jerk)
+    straight = length + slowness if length >= slowness else 2.0 * sqrt(length * slowness)
+    return straight * atanh(sqrt(TURNING_SHARE)) / sqrt(TURNING_SHARE)
 
 
 def stopping_distance(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
-    """Longest way of the origin until rest from any twist within the limits, m: half of top speed times the time.
+    """Longest way of the origin until rest from any twist within the limits, m; an upper bound.
 
-    The speed falls along an S-shaped ramp, symmetric about its middle; turning only bends the way.
+    Straight on the speed falls along a ramp symmetric about its middle: half of top speed times the time.
+    In a curve braking begins more slowly than it ends, by no more than the factor of `stopping_time` again.
     """
     fastest = sqrt(velocity.vx**2 + velocity.vy**2)
-    return (
-        0.5
-        * fastest
-        * (stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk) + 1.0 / _slope(acceleration, jerk))
-    )
+    return 0.5 * fastest * stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk)
 
 
 class TwistLimiter:

@@ -286,3 +286,22 @@ def test_check_as_a_user_runs_it(tmp_path: Path) -> None:
         assert "wrong.toml: motor[0].gear_ratio = 0.0" in bad.stderr.replace("\n", " ")
         assert "Traceback" not in bad.stderr
     assert json.loads(drivegate("check", str(path), "--json").stdout)["valid"] is False
+
+
+def test_a_robot_that_takes_too_long_to_stop_is_refused() -> None:
+    """A jerk limit of 0.01 would let the robot drive on for half a minute."""
+    text = robot_text("moby").replace("jerk = { vx = 4.0,", "jerk = { vx = 0.01,")
+    with pytest.raises(ConfigError, match=r"a stop from top speed takes .* allowed up to 5 s"):
+        examine(parse(text, "r"), "r")
+
+
+def test_what_a_stop_and_a_curve_ask_of_the_robot_is_told() -> None:
+    moby, omni = (examine(parse(robot_text(name), name), name) for name in ("moby", "omni4"))
+    assert 1.7 < moby.stopping_time_s < 3.0
+    assert 0.5 * 1.7 * 1.7 < moby.stopping_distance_m < 3.0
+    assert omni.turning_share == pytest.approx((0.7 * 1.5 / 8.0) ** 0.5)
+    # omni4 by hand: 25 kg at 2.0 and 1.5 m/s^2 and 0.9 kg m^2 at 6 rad/s^2, on four wheels at 60 degrees and 0.2 m
+    force = 50.0 / (4 * 0.75**0.5) + 37.5 / (4 * 0.5) + 5.4 / (4 * 0.2)
+    assert omni.torque_share == pytest.approx((force * 0.0762 + 0.09 + 0.02 * 45.0 / 2) / 4.5, rel=1e-6)
+    heavy = robot_text("omni4").replace("mass = 25.0", "mass = 150.0")
+    assert any("of the torque of motor" in warning for warning in examine(parse(heavy, "r"), "r").warnings)
