@@ -10,6 +10,7 @@ from gateway.messages import StateMessage
 from gateway.types import Mode
 from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, standing
 from tests.unread import UNREAD, Unread
+from tests.world import NAMES
 
 GO = (0.3, 0.0, 0.0)
 FROZEN_S = 1.5  # less than the lease after which Zenoh would throw the commands away with the connection
@@ -89,7 +90,7 @@ def test_a_latched_emergency_stop_outlives_a_kill_and_a_reset_ends_it(tmp_path: 
         assert robot.await_state(lambda _: True).status.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize("name", ["moby"])
+@pytest.mark.parametrize("name", NAMES)
 def test_frozen_while_driving_it_does_not_go_on_with_what_came_before(
     name: str, tmp_path: Path, free_port: int
 ) -> None:

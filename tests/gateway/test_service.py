@@ -282,6 +282,24 @@ def test_a_bug_in_the_core_brakes_a_driving_robot_to_rest_and_then_releases_it(c
     assert "core_bug" in stand.link.codes()
 
 
+def test_a_bug_in_the_core_brakes_motors_that_know_no_speed_command(clock: FakeTime) -> None:
+    """A C620 takes only a current: its driver brakes from the measured speed."""
+    at_crash: list[float] = []
+
+    def before(stand: Stand, cycle: int) -> None:
+        clock.now_ns += 1000
+        drive(stand, cycle, Twist(0.8, 0.0, 0.0))
+        if cycle == CRASH_CYCLE:
+            at_crash.append(stand.bus.robot.truth.pose.x)
+            stand.break_core()
+
+    stand = Stand(before, robot="omni4").run()
+    assert stand.code == EXIT_CORE_BUG
+    assert stand.true_speed() < 0.05
+    assert stand.bus.robot.truth.pose.x - at_crash[0] < 0.25
+    assert stand.bus.sent[-1][0].data == bytes(8), "released"
+
+
 def test_a_broken_core_that_cannot_hear_its_motors_stops_them_for_the_stopping_time(clock: FakeTime) -> None:
     def before(stand: Stand, cycle: int) -> None:
         clock.now_ns += 1000

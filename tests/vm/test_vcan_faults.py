@@ -133,9 +133,9 @@ def test_killed_motors_stop_the_service_and_restarted_ones_do_not_start_it(fault
     robot.drive()
     faulty.events()
     robot.kill_motors()
-    state = robot.stream(GO, lambda state: all(motor.state == "silent" for motor in state.status.motors))
+    state = robot.stream(GO, lambda state: "silent for" in (state.status.reason or ""))
     assert state.status.mode is Mode.FAULT
-    assert "silent for" in (state.status.reason or "")
+    assert all(motor.state == "silent" for motor in state.status.motors)
     started_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
     robot.start_motors()
     robot.stream(GO, idle, timeout=60.0)

@@ -85,7 +85,7 @@ def fresh(robot: VcanRobot) -> Condition:
     return lambda state: before is None or state.status.cycle < before.status.cycle
 
 
-@pytest.mark.parametrize("name", ["moby"])
+@pytest.mark.parametrize("name", NAMES)
 def test_frozen_while_driving_it_does_not_go_on_with_what_came_before(
     name: str, tmp_path: Path, free_port: int
 ) -> None:
