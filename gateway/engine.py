@@ -113,7 +113,8 @@ class Engine:
         speeds, limits = self._limit(target, estimate, health, dt)
         frames = self._command(speeds, health, dt=dt, now_ns=now_ns)
         measured, residual = estimate if estimate else (None, None)
-        reason = waiting_for(self._mode, faults=health.faults, command=selection.command, shutdown=self._shutdown)
+        command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
+        reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
         events = self._reporter.events(
             inputs,
             mode=self._mode,

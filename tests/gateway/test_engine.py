@@ -183,6 +183,7 @@ def test_a_source_that_never_sent_zero_does_not_inherit_the_robot(name: str) -> 
     assert world.true_speed() < 0.001
     status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
     assert status.sources[1].reason == "has to send zero first"
+    assert status.reason == "waiting for a zero command from autonomy"
 
 
 @both
