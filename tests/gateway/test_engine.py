@@ -393,3 +393,46 @@ def test_feedback_is_in_si_at_the_output() -> None:
     expected = pi / 4 * 0.2 / 0.0762
     assert world.last.trace.wheel_speeds == pytest.approx([expected] * 4, rel=0.02)
     assert all(feedback.state is MotorState.OPERATIONAL for feedback in world.engine._motors.feedback)
+
+
+@both
+def test_category_1_releases_at_rest_and_category_2_goes_on_holding(name: str) -> None:
+    for category, held in ((1, False), (2, True)):
+        world = World(name, edit=lambda text, number=category: f"{text}\n[stop]\ncategory = {number}\n")  # type: ignore[misc]
+        world.start()
+        world.run(1.0, FORWARD)
+        world.request(RequestKind.ESTOP)
+        world.run(3.0)
+        assert world.is_in(Mode.ESTOP)
+        assert (None not in world.last.trace.wheel_setpoints) is held
+        assert last_status(world).stop_category == category
+        assert world.true_speed() < 0.02
+        world.request(RequestKind.SHUTDOWN)
+        world.run(0.5)
+        assert world.last.finished, "what is held does not keep the process alive"
+        assert set(world.last.trace.wheel_setpoints) == {None}
+
+
+@both
+def test_a_robot_that_rolls_in_an_emergency_stop_is_braked_again_and_held(name: str) -> None:
+    world = World(name)
+    world.start()
+    world.request(RequestKind.ESTOP)
+    world.run(1.0)
+    assert set(world.last.trace.wheel_setpoints) == {None}
+    world.bus.robot.dynamics.slope = 0.15
+    world.run(3.0)
+    assert set(world.last.trace.wheel_setpoints) == {0.0}
+    assert world.true_speed() < 0.02
+    assert abs(world.bus.robot.truth.pose.x) < 0.3
+
+
+def test_all_motors_are_released_at_once_when_one_runs_away() -> None:
+    world = moving("moby")
+    world.bus.robot.drivetrain("left").gain = -1.0
+    world.run(0.5, FORWARD, until=lambda outputs: outputs.mode is Mode.FAULT)
+    assert world.is_in(Mode.FAULT)
+    assert set(world.last.trace.wheel_setpoints) == {None}
+    world.request(RequestKind.ESTOP)
+    world.run(0.1)
+    assert set(world.last.trace.wheel_setpoints) == {None}, "no brake whose sign is wrong"

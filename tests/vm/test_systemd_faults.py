@@ -108,9 +108,14 @@ def test_driving_goes_on_when_the_disk_is_full_and_recording_when_it_is_not(runn
     pid = main_pid()
     gaps = len(open_session(newest_session()).gaps)
     filler = SESSIONS / "filler"
+
+    def full() -> bool:
+        """Fill what is left, again and again: the recorder makes room by giving up the robot's older sessions."""
+        run("dd", "if=/dev/zero", f"of={filler}", "bs=1M", "oflag=append", "conv=notrunc")
+        return "disk full" in str(recording(running)["error"])
+
     try:
-        run("dd", "if=/dev/zero", f"of={filler}", "bs=1M")  # until there is no room
-        wait_for(lambda: "disk full" in str(recording(running)["error"]), "the state says that nothing is recorded")
+        wait_for(full, "the state says that nothing is recorded")
         assert running.await_state(lambda _: True).status.mode is Mode.DRIVE
     finally:
         filler.unlink()
