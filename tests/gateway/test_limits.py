@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.control.limits import TwistLimiter, scale_to, turning_excess
+from gateway.control.limits import TwistLimiter, scale_to, stopping_time, turning_excess
 from gateway.types import ZERO_TWIST, Twist
 
 limits = st.tuples(*[st.floats(0.2, 5.0)] * 3).map(lambda values: Twist(*values))
@@ -99,3 +99,29 @@ def test_half_effort_takes_twice_the_acceleration_time() -> None:
 
 def test_velocity_limit_scales_the_whole_vector() -> None:
     assert scale_to(Twist(2.0, 1.0, 0.5), Twist(1.0, 10.0, 10.0)) == Twist(1.0, 0.5, 0.25)
+
+
+def brakes_in_time(velocity: Twist, acceleration: Twist, jerk: Twist, start: Twist, dt: float) -> bool:
+    """Brakes from a holdable twist; whether within the stopping time. No axis may grow on the way."""
+    turning = turning_excess(start, acceleration)
+    moving = limiter(velocity, acceleration, jerk)
+    moving.reset(start if turning <= 1.0 else Twist(*(value / sqrt(turning) for value in start)))
+    bound = stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk)
+    for _ in range(int(bound / dt) + 3):  # steps of a period, so up to that much later
+        before = moving.setpoint
+        after = moving.brake(dt)
+        assert all(abs(new) <= abs(old) for new, old in zip(after, before, strict=True))
+    return moving.at_rest
+
+
+@settings(max_examples=100, deadline=None)
+@given(limits, limits, jerks, st.tuples(*[st.floats(-1.0, 1.0)] * 3), periods)
+def test_brakes_to_rest_within_the_stopping_time(
+    velocity: Twist, acceleration: Twist, jerk: Twist, share: tuple[float, ...], dt: float
+) -> None:
+    start = Twist(*(s * v for s, v in zip(share, velocity, strict=True)))
+    assert brakes_in_time(velocity, acceleration, jerk, start, dt)
+
+
+def test_brakes_in_time_where_a_curve_meets_a_ramp_too_short_for_full_acceleration() -> None:
+    assert brakes_in_time(Twist(1, 1, 1), Twist(2, 2, 3), Twist(1, 1, 1), Twist(1, 1, 1), 0.004)
