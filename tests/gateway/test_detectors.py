@@ -1,0 +1,188 @@
+"""Each detector on hand-made samples: at its stated time, not one cycle before, and never on what is something else."""
+
+from collections.abc import Callable, Iterable
+from itertools import repeat
+
+import pytest
+
+from gateway.detectors import (
+    Detector,
+    FollowingDetector,
+    FrozenEncoderDetector,
+    Limits,
+    RunawayDetector,
+    Sample,
+    SlipDetector,
+    StallDetector,
+    TwinDetector,
+)
+
+DT = 1 / 256  # s; exact in binary, so that sums of it are
+LIMITS = Limits(speed=20.0, torque=10.0)
+FULL, SOME = 9.0, 5.0  # N m: at the limit, and with torque to spare
+LONG = 1000
+
+
+def sample(
+    *,
+    setpoint: float | None = 10.0,
+    speed: float | None = 0.0,
+    position: float | None = 0.0,
+    torque: float | None = SOME,
+    fresh: bool = True,
+    driving: bool = True,
+    expected: float | None = None,
+) -> Sample:
+    return Sample(setpoint, speed, position, torque, fresh, driving, DT, lambda: expected)
+
+
+def trips(detector: Detector, samples: Iterable[Sample]) -> int | None:
+    """How many samples it takes until the detector is sure; None: all of them are not enough."""
+    return next((number for number, x in enumerate(samples, 1) if detector.look(x) is not None), None)
+
+
+def steady(detector: Callable[[Limits], Detector], x: Sample) -> int | None:
+    return trips(detector(LIMITS), repeat(x, LONG))
+
+
+STALLED = sample(torque=FULL)
+
+
+@pytest.mark.parametrize(
+    ("x", "cycles"),
+    [
+        (STALLED, 64),  # 0.25 s
+        (STALLED._replace(torque=-8.0), 64),
+        (STALLED._replace(setpoint=-10.0), 64),
+        (STALLED._replace(setpoint=1.0, speed=0.1), 103),  # 0.02 s at top speed are 0.4 rad
+        (STALLED._replace(torque=None), 128),
+        (STALLED._replace(setpoint=1.0, torque=None), 205),
+        (STALLED._replace(torque=7.9), None),
+        (STALLED._replace(speed=1.01), None),
+        (STALLED._replace(setpoint=0.19), None),
+        (STALLED._replace(setpoint=None), None),
+        (STALLED._replace(speed=None), None),
+        (STALLED._replace(driving=False), None),
+    ],
+)
+def test_stall(x: Sample, cycles: int | None) -> None:
+    assert steady(StallDetector, x) == cycles
+
+
+def test_a_stall_that_gives_way_counts_anew() -> None:
+    assert trips(StallDetector(LIMITS), [*[STALLED] * 63, sample(speed=5.0, torque=FULL), *[STALLED] * 63]) is None
+
+
+APART = sample(speed=3.9)
+
+
+@pytest.mark.parametrize(
+    ("x", "cycles"),
+    [
+        (APART, 128),  # 0.5 s
+        (APART._replace(torque=None), 128),
+        (APART._replace(speed=16.1), 128),
+        (APART._replace(speed=4.1), None),
+        (APART._replace(torque=FULL), None),
+        (APART._replace(setpoint=None), None),
+        (APART._replace(speed=None), None),
+        (APART._replace(driving=False), None),
+    ],
+)
+def test_following(x: Sample, cycles: int | None) -> None:
+    assert steady(FollowingDetector, x) == cycles
+
+
+MOVING = [sample(speed=2.1, position=0.0, driving=False), sample(speed=2.1, position=0.01, driving=False)]
+STOPPED = sample(speed=0.0, position=0.01, setpoint=2.0, torque=0.0, driving=False)
+STILL = sample(torque=0.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "x", "cycles"),
+    [
+        (MOVING, STOPPED, 4),  # of the same position: 12 ms, and at least 3
+        ([x._replace(speed=0.61) for x in MOVING], STOPPED._replace(driving=True), 4),
+        ([x._replace(speed=0.59) for x in MOVING], STOPPED._replace(driving=True), None),
+        ([x._replace(speed=1.99) for x in MOVING], STOPPED, None),
+        ([STILL], STILL._replace(torque=3.0), 39),  # 0.15 s
+        ([STILL], STILL._replace(torque=-3.0), 39),
+        ([STILL], STILL._replace(torque=2.9), None),
+        ([STILL], STILL._replace(torque=None), None),
+        ([STILL], STILL._replace(torque=3.0, setpoint=0.19), None),
+        ([STILL], STILL._replace(expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
+        ([STILL], STILL._replace(expected=lambda: 0.99), None),
+        ([STILL], STILL._replace(expected=lambda: 1.0, setpoint=0.0), None),
+        ([STILL], STILL._replace(torque=3.0, fresh=False), None),
+        (MOVING, STOPPED._replace(fresh=False), None),
+        (MOVING, STOPPED._replace(position=None), None),
+        (MOVING, STOPPED._replace(speed=None), None),
+        (MOVING, STOPPED._replace(setpoint=None), None),
+    ],
+)
+def test_frozen_encoder(before: list[Sample], x: Sample, cycles: int | None) -> None:
+    detector = FrozenEncoderDetector(LIMITS)
+    assert trips(detector, before) is None
+    assert trips(detector, repeat(x, LONG)) == cycles
+
+
+def growing(rate: float, *, cycles: int = 40, setpoint: float | None = 2.0, fresh: bool = True) -> list[Sample]:
+    """A speed that leaves its setpoint at so many top speeds per second."""
+    step = rate * LIMITS.speed * DT
+    return [sample(setpoint=setpoint, speed=2.0 + step * cycle, fresh=fresh) for cycle in range(1, cycles)]
+
+
+def test_runaway() -> None:
+    assert trips(RunawayDetector(LIMITS), growing(1.0)) == 14  # the first begins the count; then 0.05 s
+    assert trips(RunawayDetector(LIMITS), [x._replace(driving=False) for x in growing(1.0)]) == 14
+    assert trips(RunawayDetector(LIMITS), growing(0.79, cycles=LONG)) is None
+    assert trips(RunawayDetector(LIMITS), growing(1.0, setpoint=None)) is None
+    assert trips(RunawayDetector(LIMITS), [x._replace(speed=None) for x in growing(1.0)]) is None
+    assert trips(RunawayDetector(LIMITS), growing(1.0, fresh=False)) is None
+
+
+def test_an_impact_or_a_lag_is_no_runaway() -> None:
+    impact = [*growing(3.0, cycles=12), *growing(0.0)]
+    lag = [sample(setpoint=1.0 + 0.2 * cycle, speed=1.0 + 0.1 * cycle) for cycle in range(100)]
+    for samples in (impact, lag):
+        assert trips(RunawayDetector(LIMITS), samples) is None
+
+
+def test_a_single_sample_over_much_time_is_no_runaway() -> None:
+    samples = [x._replace(dt=0.02) for x in growing(6.0, cycles=10)]
+    assert trips(RunawayDetector(LIMITS), samples) == 7  # six in a row
+
+
+def jumping(way: float) -> list[Sample]:
+    return [sample(position=way * (cycle % 2)) for cycle in range(20)]
+
+
+def test_twin() -> None:
+    least = 0.03 + 0.5 * 10.0 * LIMITS.speed * DT * DT
+    assert trips(TwinDetector(LIMITS), jumping(1.01 * least)) == 7  # the first has nothing before it, and all fade
+    assert trips(TwinDetector(LIMITS), jumping(0.99 * least)) is None
+    assert trips(TwinDetector(LIMITS), [x._replace(position=None) for x in jumping(1.0)]) is None
+    assert trips(TwinDetector(LIMITS), [x._replace(speed=None) for x in jumping(1.0)]) is None
+    assert trips(TwinDetector(LIMITS), [x._replace(fresh=False) for x in jumping(1.0)]) is None
+
+
+def test_few_jumps_or_rare_ones_and_steady_motion_are_no_twin() -> None:
+    few = [*jumping(1.0)[:5], *[sample(position=0.0)] * LONG]
+    rare = [sample(position=float(cycle // 100 % 2)) for cycle in range(LONG)]
+    turning = [sample(speed=20.0, position=20.0 * DT * cycle) for cycle in range(LONG)]
+    for samples in (few, rare, turning):
+        assert trips(TwinDetector(LIMITS), samples) is None
+
+
+def test_slip_has_a_delay_and_a_hysteresis() -> None:
+    detector = SlipDetector()
+    seen = []
+    for residual in [0.049] * 50 + [0.05] * 11 + [0.026] * 50 + [0.024] + [0.049] * 50:
+        detector.look(residual, DT)
+        seen.append(detector.slipping)
+    assert seen == [False] * 60 + [True] * 51 + [False] * 51
+    for _ in range(20):
+        detector.look(1.0, DT)
+    assert detector.slipping
+    detector.look(None, DT)
+    assert not detector.slipping
