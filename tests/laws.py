@@ -1,0 +1,192 @@
+"""The laws of motion: what holds in every drive, whatever commanders, motors, buses and the loop do.
+
+Each law is a function from the recorded cycles of a drive to its violations in words, and knows nothing of how the core
+keeps it. A new process begins where the number of the cycle falls back; nothing before it counts for it.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from gateway.config import RobotConfig
+from gateway.control.limits import stopping_time
+from gateway.types import ZERO_TWIST, Inputs, Mode, TwistCommand
+from replay.drive.moment import Moment
+
+DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
+RESTING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})
+ROUNDING = 1e-9  # of a setpoint, m/s or rad/s
+STEP = 0.05  # of its top speed that a wheel's setpoint may move in one period; see `no_steps`
+PAUSE = 1.5  # periods between two cycles; from there on the loop paused
+STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
+DWELL_S = 0.25  # that wheels have to stand until it is rest
+FOLLOWING_S = 0.25  # by which real wheels may be later than their setpoints
+
+Drive = Sequence[Moment]
+Law = Callable[[Drive, RobotConfig], Iterator[str]]
+
+
+class Pair(NamedTuple):
+    """Two cycles of one process, one after the other."""
+
+    before: Moment
+    now: Moment
+
+
+def grows_only_in_drive(drive: Drive, _: RobotConfig) -> Iterator[str]:
+    """Outside DRIVE and DEGRADED no axis of the body's setpoint grows or changes its sign."""
+    for before, now in pairs(drive):
+        if now.outputs.mode not in DRIVING and _grows(before, now):
+            a, b = before.outputs.trace.setpoint, now.outputs.trace.setpoint
+            yield f"{_when(now)}: setpoint grows from {tuple(a)} to {tuple(b)}"
+
+
+def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """A motor that was released, or braked in an emergency stop, is not driven before the robot was in IDLE."""
+    names = config.robot.motor_names()
+    let_go: dict[int, str] = {}
+    for now in drive:
+        if now.inputs.cycle == 0 or now.outputs.mode is Mode.IDLE:
+            let_go.clear()
+        if now.outputs.mode is Mode.IDLE:
+            continue
+        stopped = now.outputs.mode is Mode.ESTOP
+        for index, setpoint in enumerate(now.outputs.trace.wheel_setpoints):
+            if setpoint and (index in let_go or stopped):
+                yield f"{_when(now)}: {names[index]} driven at {setpoint} after {let_go.get(index, 'the stop')}"
+            elif setpoint is None or stopped:
+                let_go.setdefault(index, f"{_when(now)}: {'released' if setpoint is None else 'braked'}")
+
+
+def nothing_moves_without_a_zero(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """Whoever drives has sent a zero of its own since the robot last entered IDLE, ESTOP or FAULT, or started."""
+    zeros = _Zeros(config)
+    before: Moment | None = None
+    for now in drive:
+        if now.inputs.cycle == 0:
+            zeros, before = _Zeros(config), None
+        zeros.receive(now.inputs)
+        driving = now.outputs.mode in DRIVING
+        target = now.outputs.trace.target
+        if target != ZERO_TWIST and not any(one.twist == target for one in zeros.entitled(now.inputs.now_ns)):
+            yield f"{_when(now)}: target {tuple(target)} of nobody who has sent a zero"
+        if driving and before and _grows(before, now) and not zeros.entitled(now.inputs.now_ns):
+            yield f"{_when(now)}: setpoint grows, and nobody who commands has sent a zero"
+        if now.outputs.mode in RESTING and (before is None or before.outputs.mode is not now.outputs.mode):
+            zeros.begin(now.inputs.now_ns)
+        before = now
+
+
+def no_steps(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """No setpoint of a wheel moves by more than STEP of its top speed in a period, but into an emergency stop.
+
+    In a period of 4 ms a fall back to the measured motion takes 2 %, a joint that turns under a fast robot at its own
+    top speed 2.8 % (moby: 7 rad/s), the acceleration limits below 0.5 %.
+    """
+    names = config.robot.motor_names()
+    for before, now in pairs(drive):
+        periods = (now.inputs.now_ns - before.inputs.now_ns) * 1e-9 * config.loop.rate
+        if periods > PAUSE or now.outputs.mode is Mode.ESTOP:
+            continue
+        setpoints = zip(names, before.outputs.trace.wheel_setpoints, now.outputs.trace.wheel_setpoints, strict=True)
+        for name, old, new in setpoints:
+            if old is not None and new is not None and abs(new - old) > STEP * config.limits.motor_speed[name]:
+                yield f"{_when(now)}: {name} steps from {old:.4f} to {new:.4f} rad/s"
+
+
+def released_in_idle(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """In IDLE no motor is given anything but its release."""
+    names = config.robot.motor_names()
+    for now in drive:
+        if now.outputs.mode is Mode.IDLE:
+            for name, setpoint in zip(names, now.outputs.trace.wheel_setpoints, strict=True):
+                if setpoint is not None:
+                    yield f"{_when(now)}: {name} is given {setpoint} rad/s"
+
+
+def rests_in_time(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """After the last command the robot comes to rest within the computed time. Not of a robot that cannot brake."""
+    limits = config.limits
+    time_to_stop = stopping_time(
+        velocity=limits.velocity.as_twist(),
+        acceleration=limits.acceleration.as_twist(),
+        jerk=limits.jerk.as_twist(),
+    )
+    last = max((now.t for now in drive if now.inputs.commands), default=0.0)
+    longest = max(source.timeout for source in config.commands.source)
+    due = last + longest + time_to_stop + DWELL_S + FOLLOWING_S
+    for now in drive:
+        if now.t < due:
+            continue
+        if now.outputs.mode not in RESTING:
+            yield f"{_when(now)}: last command at {last:.3f} s, due to rest at {due:.3f} s"
+        elif max(map(abs, now.truth.twist)) > STANDING:
+            yield f"{_when(now)}: due to rest at {due:.3f} s, moves at {tuple(now.truth.twist)}"
+
+
+LAWS: dict[str, Law] = {
+    "the setpoint grows in DRIVE and DEGRADED only": grows_only_in_drive,
+    "what is let go stays so until IDLE": what_is_let_go_stays_so,
+    "nothing moves without a zero of its own": nothing_moves_without_a_zero,
+    "no steps but into an emergency stop": no_steps,
+    "everything is released in IDLE": released_in_idle,
+}
+REST = "rests within the computed time"  # of drives that leave the motors able to brake
+ALL_LAWS: dict[str, Law] = {**LAWS, REST: rests_in_time}
+
+
+def violations(drive: Drive, config: RobotConfig, *, can_brake: bool) -> dict[str, list[str]]:
+    """Of every law that this drive is to keep, by name."""
+    laws = ALL_LAWS if can_brake else LAWS
+    return {name: list(law(drive, config)) for name, law in laws.items()}
+
+
+def pairs(drive: Drive) -> Iterator[Pair]:
+    """Every cycle with the one before it in the same process."""
+    for before, now in pairwise(drive):
+        if now.inputs.cycle != 0:
+            yield Pair(before, now)
+
+
+class _Zeros:
+    """Who has sent a zero, told from the commands alone."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._timeouts_ns = {source.name: round(source.timeout * 1e9) for source in config.commands.source}
+        self._newest: dict[str, TwistCommand] = {}
+        self._zeroed: set[str] = set()
+        self._since_ns = -1
+
+    def begin(self, now_ns: int) -> None:
+        """The robot rests, was stopped or failed."""
+        self._zeroed.clear()
+        self._since_ns = now_ns
+
+    def receive(self, inputs: Inputs) -> None:
+        """The commands of a cycle. Another sender needs a zero too, and so does an unstamped one after its timeout."""
+        for command in inputs.commands:
+            before = self._newest.get(command.source)
+            self._newest[command.source] = command
+            if before is not None and self._is_another(before, command):
+                self._zeroed.discard(command.source)
+            if command.twist == ZERO_TWIST and command.received_ns > self._since_ns:
+                self._zeroed.add(command.source)
+
+    def entitled(self, now_ns: int) -> list[TwistCommand]:
+        """Fresh commands of sources that have sent their zero."""
+        fresh = [one for one in self._newest.values() if now_ns - one.received_ns <= self._timeouts_ns[one.source]]
+        return [one for one in fresh if one.source in self._zeroed]
+
+    def _is_another(self, before: TwistCommand, command: TwistCommand) -> bool:
+        gap_ns = command.received_ns - before.received_ns
+        late = gap_ns > self._timeouts_ns[command.source] and not (command.stamped and before.stamped)
+        return late or command.sender != before.sender
+
+
+def _grows(before: Moment, now: Moment) -> bool:
+    axes = zip(before.outputs.trace.setpoint, now.outputs.trace.setpoint, strict=True)
+    return any(abs(new) > abs(old) + ROUNDING or new * old < -(ROUNDING**2) for old, new in axes)
+
+
+def _when(now: Moment) -> str:
+    return f"{now.t:.3f} s, {now.outputs.mode.value}"

@@ -1,0 +1,124 @@
+"""Random drives as scenarios: both sources, silences, requests, restarts, and every fault of the simulated world.
+
+How this works
+--------------
+One number makes one drive, the same on every machine. `wild` drives break everything, in any order and at once; `kind`
+drives keep the motors able to brake until the end, and end in silence for as long as the robot needs to come to rest.
+"""
+
+from collections.abc import Callable
+from random import Random
+from typing import Any, NamedTuple
+
+from gateway.config import RobotConfig
+from replay.drive.faults import RULES, FaultKind, Target
+from replay.drive.moment import Moment
+from replay.drive.scenario import run_scenario
+from replay.drive.scenario_file import Scenario
+from tests import laws
+
+SECONDS = 16.0
+SILENCE_S = 6.0  # at the end of a kind drive
+ANSWERS_S = 0.3  # until motors are heard
+Entry = dict[str, Any]
+
+VALUES: dict[FaultKind, Callable[[Random], float]] = {
+    FaultKind.ENCODER_JUMP: lambda chance: chance.choice([-1.0, 1.0]) * 10 ** chance.uniform(-2.0, 1.0),
+    FaultKind.BRAKE_WEAK: lambda chance: chance.uniform(0.0, 0.8),
+    FaultKind.ID_TWIN: lambda chance: chance.uniform(-3.0, 3.0),
+    FaultKind.FRAMES_LOST: lambda chance: chance.uniform(0.05, 1.0),
+    FaultKind.FRAMES_DELAYED: lambda chance: 10 ** chance.uniform(-2.5, -0.5),
+    FaultKind.PUSH: lambda chance: chance.uniform(-300.0, 300.0),
+    FaultKind.SLOPE: lambda chance: chance.uniform(-0.12, 0.12),
+    FaultKind.FRICTION: lambda chance: chance.uniform(0.02, 0.6),
+    FaultKind.MASS: lambda chance: chance.uniform(20.0, 250.0),
+}
+ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
+KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
+KIND_VALUES: dict[FaultKind, Callable[[Random], float]] = {
+    FaultKind.FRAMES_LOST: lambda chance: chance.uniform(0.01, 0.15),
+    FaultKind.FRAMES_DELAYED: lambda chance: chance.uniform(0.001, 0.008),
+    FaultKind.ENCODER_JUMP: lambda chance: chance.uniform(-0.02, 0.02),
+}
+
+
+class Driven(NamedTuple):
+    """What became of one drive: its cycles, and what broke each law."""
+
+    cycles: int
+    violations: dict[str, list[str]]
+
+
+def drive(seed: int, config: RobotConfig, *, can_brake: bool) -> Driven:
+    """The random drive of this number, and its violations of the laws."""
+    return judge(scenario(seed, config, can_brake=can_brake), config, can_brake=can_brake)
+
+
+def judge(script: Scenario, config: RobotConfig, *, can_brake: bool) -> Driven:
+    """Drive this one."""
+    moments: list[Moment] = []
+    run_scenario(script, config, watch=moments.append)
+    return Driven(len(moments), laws.violations(moments, config, can_brake=can_brake))
+
+
+def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
+    """The script: it begins well, so that most drives do drive."""
+    chance = Random(seed)
+    lively = SECONDS - SILENCE_S if can_brake else SECONDS
+    entries = [_command(chance, config, 0.0, still=True)]
+    t = ANSWERS_S + 0.5
+    while t < lively:
+        entries += _something(chance, config, t, can_brake=can_brake)
+        t += 10 ** chance.uniform(-1.5, 0.2)
+    if can_brake:
+        entries += [{"t": lively, "silence": source.name} for source in config.commands.source]
+    return Scenario.model_validate(
+        {"robot": config.robot.name, "seconds": SECONDS, "seed": seed, "at": sorted(entries, key=lambda at: at["t"])}
+    )
+
+
+def _something(chance: Random, config: RobotConfig, t: float, *, can_brake: bool) -> list[Entry]:
+    kind = chance.choices(["command", "start", "silence", "request", "fault"], [6, 3, 1, 1, 4])[0]
+    if kind == "command":
+        return [_command(chance, config, t, still=chance.random() < 0.15)]
+    if kind == "start":  # what most people do when the robot does not move
+        zero = _command(chance, config, t, still=True)
+        return [{"t": t, "request": "reset"}, zero] if chance.random() < 0.7 else [zero]
+    if kind == "silence":
+        return [{"t": t, "silence": chance.choice(config.commands.source).name}]
+    if kind == "request":
+        words = ["estop", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
+        return [{"t": t, "request": chance.choice(words)}]
+    return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config)}]
+
+
+def _command(chance: Random, config: RobotConfig, t: float, *, still: bool) -> Entry:
+    axis = [0.0 if still or chance.random() < 0.3 else chance.uniform(-1.3, 1.3) for _ in range(3)]
+    vx, vy, wz = (part * top for part, top in zip(axis, config.limits.velocity.as_twist(), strict=True))
+    rate = chance.choice([20.0, 50.0, 100.0, 3.0]) if not still else 50.0
+    source = chance.choices(config.commands.source, [3, 1])[0].name
+    stamped = chance.random() < 0.5
+    return {"t": t, "command": {"source": source, "vx": vx, "vy": vy, "wz": wz, "rate": rate, "stamped": stamped}}
+
+
+def _fault(chance: Random, config: RobotConfig) -> Entry:
+    kind = chance.choice(list(FaultKind))
+    rule = RULES[kind]
+    fault: Entry = {"kind": kind.value}
+    if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
+        fault["motor"] = chance.choice(config.robot.motor_names())
+    if kind in VALUES:
+        fault["value"] = VALUES[kind](chance)
+    if rule.timed or (rule.end is not None and chance.random() < 0.7):
+        fault["seconds"] = 10 ** chance.uniform(-2.0, -0.2 if kind in ONLY_BRIEF else 0.5)
+    return fault
+
+
+def _kind_fault(chance: Random) -> Entry:
+    kind = chance.choice(KIND_FAULTS)
+    fault: Entry = {"kind": kind.value, "seconds": 10 ** chance.uniform(-2.0, -0.5)}
+    if kind is FaultKind.ENCODER_JUMP:
+        del fault["seconds"]
+    if kind in KIND_VALUES:
+        fault["value"] = KIND_VALUES[kind](chance)
+    return fault
