@@ -89,6 +89,7 @@ class Engine:
         self._mode_since_ns = 0
         self._energised = False  # motors were armed and have not been released since
         self._rolled = False  # it rolled after an emergency stop had released it
+        self._blind = False  # braking without the joint angle, in proportion
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
         self._angles: list[float | None] = [None] * len(self._names)  # rad; None: silent or not trusted
@@ -333,6 +334,7 @@ class Engine:
         self._mode = mode
         self._mode_since_ns = now_ns
         self._rolled = False
+        self._blind = self._blind and mode in BRAKING
         if mode in DISMISSING:
             self._arbiter.dismiss(now_ns)
         if mode is Mode.IDLE:
@@ -368,8 +370,11 @@ class Engine:
             self._brake(estimate, health, dt)
         else:
             self._limiter.reset()
-        speeds = self._kinematics.wheel_speeds(self._limiter.setpoint, self._angles_ahead())
+        speeds = None
+        if not self._blind:
+            speeds = self._kinematics.wheel_speeds(self._limiter.setpoint, self._angles_ahead())
         if speeds is None:
+            self._blind = self._mode in BRAKING  # an angle that comes back would be a step
             return self._in_proportion(), limits
         factor = desaturate(speeds, self._top_speeds)
         if factor < 1.0:

@@ -436,3 +436,19 @@ def test_all_motors_are_released_at_once_when_one_runs_away() -> None:
     world.request(RequestKind.ESTOP)
     world.run(0.1)
     assert set(world.last.trace.wheel_setpoints) == {None}, "no brake whose sign is wrong"
+
+
+def test_a_joint_angle_that_comes_back_while_braking_makes_no_wheel_step() -> None:
+    """The chassis turned under the platform while nobody could see it."""
+    world = World("moby")
+    world.start()
+    swinging = Twist(-0.8, 0.1, -0.5)
+    world.run(1.3, swinging)
+    world.bus.fail("can0")
+    world.run(0.08, swinging)
+    world.bus.restore("can0")
+    world.run(0.5, swinging)
+    assert world.is_in(Mode.FAULT)
+    pairs = itertools.pairwise(outputs.trace.wheel_setpoints for _, outputs in world.records[-240:])
+    steps = [abs(b - a) for old, new in pairs for a, b in zip(old, new, strict=True) if a is not None and b is not None]
+    assert max(steps) < 0.5
