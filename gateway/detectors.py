@@ -23,6 +23,8 @@ STALL_TIME = 0.25  # s
 STALL_WAY = 0.02  # s at top speed: the way that was commanded and not gone
 STALL_BLIND_FACTOR = 2.0  # times that, where the controller does not tell its torque
 STALL_SPEED = 0.1  # of the setpoint; slower counts as no motion
+CRAWL_SPEED = 0.05  # of top speed: slower, with all its torque for CRAWL_TIME, is no driving either
+CRAWL_TIME = 1.0  # s
 LEAST_SETPOINT = 0.01  # of top speed; below it nothing is asked of the motor
 
 FREEZE_FROM = 0.1  # of top speed: from there no brake stops a wheel within FREEZE_TIME ...
@@ -81,11 +83,12 @@ class Detector(Protocol):
 
 
 class StallDetector:
-    """Torque at its limit, and no motion."""
+    """Torque at its limit, and no motion, or for long hardly any: then wheels may work against each other."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._time = self._way = 0.0
+        self._crawl = 0.0
 
     def look(self, x: Sample) -> str | None:
         limits, setpoint, speed = self._limits, x.setpoint, x.speed
@@ -94,19 +97,30 @@ class StallDetector:
             or setpoint is None
             or speed is None
             or abs(setpoint) < LEAST_SETPOINT * limits.speed
-            or abs(speed) > STALL_SPEED * abs(setpoint)
             or not (x.torque is None or limits.strained(x.torque))
         ):
+            self._time = self._way = self._crawl = 0.0
+            return None
+        if x.torque is not None and self._crawls(speed, x.dt):
+            return f"hardly moves, {speed:.2f} rad/s, with {x.torque:.1f} N m for {CRAWL_TIME:g} s"
+        return self._stands(setpoint, speed, x.torque, x.dt)
+
+    def _crawls(self, speed: float, dt: float) -> bool:
+        self._crawl = self._crawl + dt if abs(speed) < CRAWL_SPEED * self._limits.speed else 0.0
+        return self._crawl >= CRAWL_TIME
+
+    def _stands(self, setpoint: float, speed: float, torque: float | None, dt: float) -> str | None:
+        if abs(speed) > STALL_SPEED * abs(setpoint):
             self._time = self._way = 0.0
             return None
-        self._time += x.dt
-        self._way += abs(setpoint) * x.dt
-        patience = STALL_BLIND_FACTOR if x.torque is None else 1.0
-        if self._time < patience * STALL_TIME or self._way < patience * STALL_WAY * limits.speed:
+        self._time += dt
+        self._way += abs(setpoint) * dt
+        patience = STALL_BLIND_FACTOR if torque is None else 1.0
+        if self._time < patience * STALL_TIME or self._way < patience * STALL_WAY * self._limits.speed:
             return None
-        if x.torque is None:
+        if torque is None:
             return f"stands still where {setpoint:.2f} rad/s is commanded"
-        return f"stands still against {x.torque:.1f} N m where {setpoint:.2f} rad/s is commanded"
+        return f"stands still against {torque:.1f} N m where {setpoint:.2f} rad/s is commanded"
 
 
 class FrozenEncoderDetector:

@@ -73,6 +73,28 @@ def test_a_stall_that_gives_way_counts_anew() -> None:
     assert trips(StallDetector(LIMITS), [*[STALLED] * 63, sample(speed=5.0, torque=FULL), *[STALLED] * 63]) is None
 
 
+CRAWLING = sample(setpoint=0.5, speed=0.9, torque=FULL)
+
+
+@pytest.mark.parametrize(
+    ("x", "cycles"),
+    [
+        (CRAWLING, 256),  # 1 s
+        (CRAWLING._replace(speed=-0.9), 256),
+        (CRAWLING._replace(speed=1.1), None),
+        (CRAWLING._replace(torque=SOME), None),
+        (CRAWLING._replace(torque=None), None),
+        (CRAWLING._replace(setpoint=0.1), None),
+        (CRAWLING._replace(setpoint=None), None),
+        (CRAWLING._replace(driving=False), None),
+    ],
+)
+def test_all_its_torque_and_hardly_any_motion_is_a_stall_after_a_second(x: Sample, cycles: int | None) -> None:
+    """Wheels that work against each other, one of them with the wrong sign, do not stand still."""
+    assert steady(StallDetector, x) == cycles
+    assert trips(StallDetector(LIMITS), [*[x] * 255, sample(speed=5.0, torque=FULL), *[x] * 255]) is None
+
+
 APART = sample(speed=3.9)
 
 
