@@ -30,7 +30,9 @@ class RobotProcess:
         self.directory = directory
         self.endpoint = f"tcp/127.0.0.1:{port}"
         self.log = directory / "service.log"
-        command = [sys.executable, "-m", "gateway", "run", str(ROBOTS / f"{name}.toml")]
+        # Tests started with nohup ignore SIGHUP, and so would every process of theirs.
+        command = ["env", "--default-signal=HUP", sys.executable, "-m", "gateway"]
+        command += ["run", str(ROBOTS / f"{name}.toml")]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 [*command, *(arguments or ("--simulate",)), "--out", str(directory), "--endpoint", self.endpoint],

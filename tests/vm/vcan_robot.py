@@ -67,7 +67,7 @@ def robot_file(name: str, directory: Path, channel: str) -> Path:
 def drivegate(*arguments: str, log: Path, stderr: int | None = None) -> subprocess.Popen[bytes]:
     """A process of ours; its errors go to the log too, or to a descriptor given."""
     with log.open("ab") as output:
-        command = [sys.executable, "-m", "gateway", *arguments]
+        command = ["env", "--default-signal=HUP", sys.executable, "-m", "gateway", *arguments]  # also under nohup
         errors = output if stderr is None else stderr
         return subprocess.Popen(command, stdout=output, stderr=errors, stdin=subprocess.DEVNULL)
 
