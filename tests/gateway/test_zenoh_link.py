@@ -472,6 +472,12 @@ def test_status_and_robot_file_are_answered(link: ZenohLink, client: Client) -> 
 
 def test_what_the_loop_says_is_published(link: ZenohLink, client: Client) -> None:
     event = Event(Level.WARNING, "slip", "wheel left slips")
+
+    def subscribed() -> bool:
+        link.publish(odometry=ODOMETRY, status=None, events=[], now_ns=1_000_000_000)
+        return client.odometry() is not None
+
+    assert eventually(subscribed)
     link.publish(odometry=ODOMETRY, status=STATUS, events=[event], now_ns=1_000_000_000)
     link.publish_truth(Pose(1.0, 2.0, 3.0), 1.0)
     state = client.wait_for_state(lambda message: message.status.mode is Mode.DEGRADED, TIMEOUT_S)
@@ -490,9 +496,20 @@ def test_only_what_is_put_on_its_exact_key_reaches_the_client(link: ZenohLink, c
 
 
 def test_the_last_words_are_published_before_the_end(link: ZenohLink, client: Client) -> None:
+    heard: list[str] = []
+
+    def hear(code: str) -> bool:
+        heard.extend(event.code for event in client.events())
+        return code in heard
+
+    def greet() -> bool:
+        link.publish(odometry=None, status=None, events=[Event(Level.INFO, "hello", "")], now_ns=0)
+        return hear("hello")
+
+    assert eventually(greet), "the subscriptions have reached the publisher"
     link.publish(odometry=None, status=STATUS, events=[Event(Level.INFO, "end", "bye")], now_ns=1)
     link.close()
-    assert eventually(client.events)[0].code == "end"
+    assert eventually(lambda: hear("end"))
     assert client.wait_for_state(lambda message: message.status == STATUS, TIMEOUT_S)
 
 
