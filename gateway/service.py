@@ -370,6 +370,4 @@ class Service:
 
 
 def _stopping_ns(config: RobotConfig) -> int:
-    limits = config.limits
-    velocity, acceleration, jerk = (limit.as_twist() for limit in (limits.velocity, limits.acceleration, limits.jerk))
-    return round(1e9 * stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk))
+    return round(1e9 * stopping_time(**config.limits.as_stopping()))

@@ -6,6 +6,7 @@ from math import hypot, pi
 import pytest
 
 from drivers.interface import MotorState
+from gateway.health import Fault, FaultKind
 from gateway.types import ZERO_TWIST, Mode, Reply, Request, RequestKind, Status, Twist, TwistFrame
 from tests.world import NAMES, World
 
@@ -452,3 +453,26 @@ def test_a_joint_angle_that_comes_back_while_braking_makes_no_wheel_step() -> No
     pairs = itertools.pairwise(outputs.trace.wheel_setpoints for _, outputs in world.records[-240:])
     steps = [abs(b - a) for old, new in pairs for a, b in zip(old, new, strict=True) if a is not None and b is not None]
     assert max(steps) < 0.5
+
+
+def test_a_motor_released_while_driving_is_not_driven_again_on_the_way_to_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stalled wheel that would still obey, and a controller that goes on saying so, have been let go all the same."""
+    world = moving("omni4")
+    place = world.config.robot.motor_names().index("front_left")
+    motors = world.engine._motors
+    measure = motors.measure
+
+    def measure_eager(now_ns: int) -> None:
+        measure(now_ns)
+        motors.feedback[place] = motors.feedback[place]._replace(state=MotorState.OPERATIONAL)
+
+    monkeypatch.setattr(motors, "measure", measure_eager)
+    world.engine._health.latch(Fault(FaultKind.STALL, "front_left", "stands still", latched=True))
+    world.run(0.3, FORWARD)
+    assert world.is_in(Mode.DEGRADED)
+    released = len(world.records)
+    world.run(1.5)
+    assert "mode_stopping" in world.codes()
+    assert {outputs.trace.wheel_setpoints[place] for _, outputs in world.records[released:]} == {None}
