@@ -476,3 +476,40 @@ def test_a_motor_released_while_driving_is_not_driven_again_on_the_way_to_rest(
     world.run(1.5)
     assert "mode_stopping" in world.codes()
     assert {outputs.trace.wheel_setpoints[place] for _, outputs in world.records[released:]} == {None}
+
+
+@both
+def test_the_setpoint_waits_while_no_motor_can_be_reached(name: str) -> None:
+    """Nobody follows it meanwhile; a ramp that ran on would be a step for motors that still do what they were told."""
+    world = moving(name)
+    world.bus.fail("can0")
+    world.run(0.4, FORWARD)
+    setpoints = {outputs.trace.setpoint for _, outputs in world.records[-80:]}  # once their silence shows
+    assert len(setpoints) == 1
+    assert setpoints.pop().vx == pytest.approx(FORWARD.vx, abs=0.03)
+
+
+def test_a_setpoint_that_nobody_follows_falls_back_to_what_is_measured() -> None:
+    """The watchdogs have let go: the robot rolls out, and the setpoint with it, down to the slack."""
+    world = World("moby")
+    world.start()
+    world.run(3.0, Twist(1.0, 0.0, 0.0))
+    world.bus.fail("can0")
+    world.run(0.4)
+    world.bus.restore("can0")
+    world.run(1.5)
+    trace = world.last.trace
+    assert trace.measured is not None
+    assert 0.2 < trace.measured.vx < 0.9
+    assert trace.setpoint.vx < trace.measured.vx + 0.13
+
+
+def test_motors_are_judged_anew_after_a_pause_of_the_loop() -> None:
+    """What happened meanwhile fits no period: a speed gained in it is no runaway."""
+    world = moving("omni4")
+    before = world.engine._health._detectors
+    world.cycle()
+    assert world.engine._health._detectors is before
+    world.loop.pause(world.now_ns + 500_000_000)
+    world.cycle()
+    assert world.engine._health._detectors is not before
