@@ -11,6 +11,7 @@ Neither this module nor anything it imports knows Rerun, which would cost the se
 """
 
 import logging
+import signal
 import time
 from collections import deque
 from pathlib import Path
@@ -32,6 +33,7 @@ BACKLOG_BYTES = 16_000_000
 BACKLOG_SENDS = 16  # of waiting packets per cycle: catching up must not make the loop late
 FIRST_BACKOFF_S = 1.0
 LONGEST_BACKOFF_S = 30.0
+ENDS: dict[int | None, str] = {-signal.SIGALRM: "writing was stuck"}  # exit codes that deserve words
 
 
 class RecorderError(RuntimeError):
@@ -174,7 +176,8 @@ class Recorder:
         self._take_report(child)
         confirmed = child.report.records if child.report is not None else 0
         settled = child.report.settled_cycle if child.report is not None else None
-        reason = f"the recorder process ended (exit code {child.exit_code(0.0)})"
+        code = child.exit_code(0.0)
+        reason = f"the recorder process ended ({ENDS.get(code, f'exit code {code}')})"
         self._dropped += child.sent - confirmed + (child.report.lost if child.report is not None else 0)
         if child.sent > confirmed and child.first_cycle is not None and child.last_cycle is not None:
             first = child.first_cycle if settled is None else settled + 1

@@ -16,6 +16,7 @@ from gateway.signals import ENDING
 
 SOCKET_BYTES = 1 << 20  # asked for; the kernel caps it at net.core.wmem_max
 REPORT_BYTES = 65536
+PROGRAM = ("-m", "gateway.recorder_process")
 
 
 class TooLongError(ValueError):
@@ -134,7 +135,7 @@ def _spawn(descriptor: int) -> subprocess.Popen[bytes]:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "gateway.recorder_process", str(descriptor)],
+            [sys.executable, "-P", *PROGRAM, str(descriptor)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},

@@ -11,9 +11,11 @@ that end the service are blocked here from birth.
 import contextlib
 import logging
 import os
+import signal
 import socket
 import sys
 import time
+from collections.abc import Iterator
 
 from gateway.config import RobotConfig
 from gateway.record import PACKET_LIMIT, End, Gap, Hello, Packet, Record, Report, decode_hello, decode_packet, encode
@@ -27,6 +29,7 @@ BATCH_RECORDS = 1000
 DRAIN_PERIOD_S = 0.02
 EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
 EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
+WRITE_LIMIT_S = 10  # for one batch, segment or end; a flush gives up after 3 s
 
 
 class Inbox:
@@ -69,7 +72,8 @@ class Inbox:
 
 def record(inbox: Inbox, writer: SessionWriter) -> None:
     """Until end of file. Raises WriterDeadError, RecordingOffError."""
-    writer.open()
+    with _within_limit():
+        writer.open()
     inbox.send(writer.report())
     records: list[Record] = []
     gaps: list[Gap] = []
@@ -88,14 +92,16 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
             records.append(packet)
         full = len(records) >= BATCH_RECORDS
         if records and (full or inbox.ended or time.monotonic_ns() >= due_ns):
-            writer.write(records, gaps)
+            with _within_limit():
+                writer.write(records, gaps)
             inbox.send(writer.report())
             records, gaps = [], []
         if not full and not inbox.ended:
             time.sleep(DRAIN_PERIOD_S)
-    if gaps:
-        writer.write((), gaps)
-    writer.close(ended=ended)
+    with _within_limit():
+        if gaps:
+            writer.write((), gaps)
+        writer.close(ended=ended)
     inbox.send(writer.report())
 
 
@@ -126,6 +132,23 @@ def _refuse(inbox: Inbox, text: str) -> int:
     inbox.send(Report(folder="", segment=0, records=0, settled_cycle=None, lost=0, error=text, closed=True))
     logger.warning("%s", text)
     return EXIT_REFUSED
+
+
+@contextlib.contextmanager
+def _within_limit() -> Iterator[None]:
+    """The kernel ends this process with SIGALRM if what is inside takes too long; the service then starts another.
+
+    On a full disk a call of Rerun may block for ever (seen with 0.41), perhaps holding the interpreter: nothing written
+    in Python could be relied on to notice.
+    """
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
+    signal.alarm(WRITE_LIMIT_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
 
 
 def _step_back() -> None:

@@ -4,6 +4,7 @@ Rerun's messages carry no checksum, and two of three flipped bits in them read b
 0.41). So the last message is a seal: length and CRC of everything in front of it, read back from what was written.
 """
 
+import os
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,8 @@ from gateway.session_schema import (
     APPLICATION_ID,
     BATCH,
     CYCLE,
+    FOOTER_MARK,
+    FOOTER_TAIL,
     GAP_ARCHETYPE,
     GAP_COLUMNS,
     GAP_PATH,
@@ -109,7 +112,13 @@ class Segment:
         self._recording.log(SEAL_PATH, rr.DynamicArchetype(SEAL_ARCHETYPE, components=columns), static=True)
         self.flush()
         self._recording.disconnect()
-        self._file.close()
+        with self._file:
+            if not self._has_footer():
+                raise WriterDeadError("the footer is not in the file")  # Rerun only logs it
+
+    def _has_footer(self) -> bool:
+        self._file.seek(-FOOTER_TAIL.size, os.SEEK_END)
+        return FOOTER_MARK in self._file.read()
 
     def _send_header(self, header: Header) -> None:
         row = (header.schema_version, msgspec.json.encode(header).decode())

@@ -10,6 +10,7 @@ there was not recorded whole. Unknown (None) is an empty cell, never a number.
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
+from struct import Struct
 from typing import Any, NamedTuple
 
 import msgspec
@@ -104,6 +105,9 @@ SEAL_COLUMNS = {
     "final": Kind.BOOL,
     "last_cycle": Kind.MAYBE_INT,
 }
+
+FOOTER_MARK = b"RRF2FOOT"  # of Rerun's files
+FOOTER_TAIL = Struct("<QQI8sI")  # their last bytes: place of the footer in the file, its length, checksum, mark, count
 
 GAP_PATH = "/gap"
 GAP_ARCHETYPE = "Gap"

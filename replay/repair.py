@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
+from gateway.session_schema import FOOTER_MARK, FOOTER_TAIL
+
 STREAM_HEADER_BYTES = 12  # "RRF2", version 4 bytes, compression, serializer, 2 reserved
 MAGIC = b"RRF2"
-FOOTER_MARK = b"RRF2FOOT"
-_TAIL = Struct("<QQI8sI")  # place of the footer in the file, its length, its checksum, mark, count
 _MESSAGE = Struct("<QQ")  # kind, payload length
 _END, _STORE_INFO, _ARROW, _BLUEPRINT = range(4)
 _FIELD_COMPRESSION, _FIELD_SIZE, _FIELD_BODY = 2, 3, 5
@@ -107,8 +107,8 @@ def repair(source: Path, target: Path) -> Cut:
 
 def _problem(data: mmap.mmap, end: _Message | None, *, intact: bool) -> str | None:
     """What is wrong with a file, from its end message and whether all others could be read."""
-    tail = data[-_TAIL.size :]
-    place, length, _, mark, _ = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, 0, 0, b"", 0)
+    tail = data[-FOOTER_TAIL.size :]
+    place, length, _, mark, _ = FOOTER_TAIL.unpack(tail) if len(tail) == FOOTER_TAIL.size else (0, 0, 0, b"", 0)
     if end is None and mark != FOOTER_MARK:
         return "it was not closed: its end may be missing"
     start = None if end is None else end.start + _MESSAGE.size

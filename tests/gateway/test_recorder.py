@@ -15,6 +15,7 @@ import pytest
 
 from drivers.interface import CanFrame
 from gateway import recorder as recorder_module
+from gateway import recorder_child
 from gateway.record import Record
 from gateway.recorder import NullRecorder, Recorder, RecorderError
 from gateway.recorder_disk import new_session, next_segment, segments
@@ -166,6 +167,54 @@ def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Rec
     assert gap.last_cycle == 349
     assert "exit code 75" in gap.reason
     assert list(session.cycles()) == expected(records[: gap.first_cycle] + records[350:])
+
+
+STUCK_AT_THE_SECOND_BATCH = """
+import sys
+from gateway import recorder_process
+from gateway.recorder_segment import Segment
+
+def write(segment, records, gaps, plain=Segment.write):
+    if segment.batches:  # a call that never returns and never lets go of the interpreter
+        sys.setswitchinterval(1e9)
+        while True:
+            pass
+    plain(segment, records, gaps)
+
+Segment.write = write
+recorder_process.WRITE_LIMIT_S = 1
+recorder_process.main(int(sys.argv[1]))
+"""
+
+
+def test_a_process_stuck_in_writing_is_replaced(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
+    healthy = pid(recorder)
+    monkeypatch.setattr(recorder_child, "PROGRAM", ("-c", STUCK_AT_THE_SECOND_BATCH))
+    os.kill(healthy, signal.SIGKILL)
+    until(recorder, lambda: recorder._child is not None and pid(recorder) != healthy)
+    stuck = pid(recorder)
+    monkeypatch.undo()
+    records = list(drive(300))
+    put(recorder, records[:100])
+    until(recorder, lambda: settled(recorder) == 100)
+    put(recorder, records[100:200])
+    until(recorder, lambda: recorder._child is None)
+    assert recorder.error == "the recorder process ended (writing was stuck)"
+    until(recorder, lambda: recorder._child is not None and pid(recorder) != stuck)
+    put(recorder, records[200:])
+    assert recorder.close()
+    session = read(recorder)
+    assert [gap.reason for gap in session.gaps] == ["the recorder process ended (writing was stuck)"]
+    assert list(session.cycles()) == expected(records[:100] + records[200:])
+
+
+def test_closing_does_not_claim_a_footer_that_is_not_there(recorder: Recorder) -> None:
+    put(recorder, list(drive(50)))
+    until(recorder, lambda: settled(recorder) == 50)
+    size = segments(recorder.session or Path())[0].stat().st_size
+    resource.prlimit(pid(recorder), resource.RLIMIT_FSIZE, (size + 20_000, resource.RLIM_INFINITY))
+    assert not recorder.close(PATIENCE_S)
+    assert not read(recorder).complete
 
 
 def test_a_full_disk_pauses_the_recording(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ SESSIONS = Path("/var/lib/drivegate/moby")
 INSTALL = CHECKOUT / "deploy" / "install.sh"
 RATE_HZ = 50.0  # what the virtual machine holds at ease, with two real-time processes and tests on one slow CPU
 STREAM_HZ = 20.0
+HELD_UP_S = 0.4  # between two commands: less than the motors' watchdog and the timeout of the commands
 DEVICE_WATCHDOG_S = 0.5
 WAIT_S = 90.0
 POLL_S = 0.3  # asking costs a process, and those are slow here
@@ -165,6 +166,7 @@ class Commander:
     def __init__(self) -> None:
         self.client = Client("moby")
         self._twist: tuple[float, float, float] | None = None
+        self._longest_s = 0.0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._stream, daemon=True)
         self._thread.start()
@@ -194,6 +196,10 @@ class Commander:
         self.say(0.0)
         self.await_state(in_mode(Mode.DRIVE))
 
+    def held_up(self) -> bool:
+        """Whether this machine, commander included, has stood still so long that the robot may rightly have stopped."""
+        return self._longest_s > HELD_UP_S
+
     def close(self) -> None:
         """Leave."""
         self._ended.set()
@@ -201,7 +207,10 @@ class Commander:
         self.client.close()
 
     def _stream(self) -> None:
+        last = time.monotonic()
         while not self._ended.wait(1.0 / STREAM_HZ):
+            now = time.monotonic()
+            self._longest_s, last = max(self._longest_s, now - last), now
             twist = self._twist
             if twist is not None:
                 self.client.send_twist(*twist, source="teleop")
