@@ -1,4 +1,4 @@
-"""A typed client of one robot, for the CLI, for demos and for tests. Keys and payloads: `gateway.messages`.
+"""A typed client of one robot, for the CLI, for demos and for tests. Keys and payloads: `gateway.edges.messages`.
 
     with Client("moby") as client:
         client.wait_alive(5.0)
@@ -20,11 +20,11 @@ from typing import Self, SupportsFloat, SupportsIndex, TypeVar
 
 import zenoh
 
-from gateway import messages
 from gateway.config import NAME_PATTERN
-from gateway.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.edges import messages
+from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import ZERO_TWIST, Mode, TwistFrame
-from gateway.zenoh_session import LinkError, Receivers, open_session
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
@@ -60,7 +60,7 @@ class Client:
         self._sender = secrets.token_hex(4)
         # Larger than that of a former client on this machine, whose numbers would make ours look old.
         self._sequence = time.monotonic_ns() // 1000
-        self._session = open_session(
+        self._session = open_zenoh(
             listen=[], connect=connect, max_message_size=MAX_MESSAGE_SIZE, config_file=config_file
         )
         self._stop_publisher = self._publisher("cmd/stop", zenoh.CongestionControl.BLOCK)

@@ -6,9 +6,9 @@ import typer
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.check import LOAD_WARNING, Report, examine
 from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
 from gateway.config import ConfigError, load
+from gateway.core.examination import LOAD_WARNING, Examination, examine
 
 
 def check(
@@ -31,7 +31,7 @@ def check(
         _show(report)
 
 
-def _document(report: Report) -> dict[str, object]:
+def _document(report: Examination) -> dict[str, object]:
     return {
         "valid": True,
         **report._asdict(),
@@ -41,7 +41,7 @@ def _document(report: Report) -> dict[str, object]:
     }
 
 
-def _show(report: Report) -> None:
+def _show(report: Examination) -> None:
     table = Table("what", "value", title=f"{report.robot} ({report.kind}, {report.motors} motors)")
     table.add_row("wheel matrix", f"rank {report.rank}, condition {report.condition:.3g}")
     for axis, unit in (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s")):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
-from replay.sim.dynamics import CHASSIS
+from replay.sim.plants.rigid_body import CHASSIS_MODELS
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 
@@ -294,5 +294,5 @@ def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: s
 
 def wheels(config: RobotConfig) -> tuple[str, ...]:
     """Motors that drive a wheel, in chassis order."""
-    radii = CHASSIS[config.robot.kind](config.robot).wheel_radii
+    radii = CHASSIS_MODELS[config.robot.kind](config.robot).wheel_radii
     return tuple(name for name, radius in zip(config.robot.motor_names(), radii, strict=True) if radius is not None)

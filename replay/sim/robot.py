@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from gateway.config import Motor, RobotConfig
 from gateway.types import Pose, Twist
-from replay.sim.device import STEP_NS, MotorSetup, Shaft, SimulatedDevice
-from replay.sim.dji import SimulatedDji
-from replay.sim.dynamics import CHASSIS, Dynamics
-from replay.sim.odrive import SimulatedODrive
+from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
+from replay.sim.controllers.dji import SimulatedDji
+from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.plants.rigid_body import CHASSIS_MODELS, Dynamics
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,
@@ -59,7 +59,7 @@ class SimulatedRobot:
 
     def __init__(self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None) -> None:
         self._robot = config.robot
-        self.dynamics = Dynamics(CHASSIS[config.robot.kind](config.robot))
+        self.dynamics = Dynamics(CHASSIS_MODELS[config.robot.kind](config.robot))
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
             for motor, inertia in zip(config.motors_in_order(), self.dynamics.reflected_inertia, strict=True)
@@ -127,7 +127,7 @@ class SimulatedRobot:
     def set_mass(self, mass: float | None) -> None:
         """So many kg in all, the change over the centre; None: as in the robot file."""
         body = self._robot.body if mass is None else self._robot.body.model_copy(update={"mass": mass})
-        self.dynamics.load(CHASSIS[self._robot.kind](self._robot.model_copy(update={"body": body})))
+        self.dynamics.load(CHASSIS_MODELS[self._robot.kind](self._robot.model_copy(update={"body": body})))
 
     def set_friction(self, motor: str, friction: float) -> None:
         """Coefficient of friction under the wheel of this motor; infinite: it does not slip."""

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from gateway.recorder_shapes import CHASSIS
-from gateway.recorder_writer import SessionWriter
+from gateway.recording.shapes import CHASSIS_PATH
+from gateway.recording.writer import SessionWriter
 from tests.drives import drive
 from tests.recordings import PLENTY, hello, robot
 
@@ -24,7 +24,7 @@ def test_the_chassis_turns_by_the_joint_angle_wherever_its_zero_is(tmp_path: Pat
     session.write(records)
     session.close()
     drawn: dict[int, float] = {}
-    for chunk in RrdReader(session.folder / "segment-00001.rrd").store().stream().filter(content=CHASSIS):
+    for chunk in RrdReader(session.folder / "segment-00001.rrd").store().stream().filter(content=CHASSIS_PATH):
         batch = chunk.to_record_batch()
         turns = batch.column("Transform3D:quaternion").to_pylist()
         for cycle, ((_, _, z, w),) in zip(batch.column("cycle").to_pylist(), turns, strict=True):

@@ -21,8 +21,8 @@ from zenoh.handlers import Callback
 
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
-from gateway.mailbox import MAX_QUESTIONS
-from gateway.messages import (
+from gateway.edges.mailbox import MAX_QUESTIONS
+from gateway.edges.messages import (
     EventMessage,
     OdometryMessage,
     ResetAnswer,
@@ -32,6 +32,9 @@ from gateway.messages import (
     encode_event,
     encode_twist,
 )
+from gateway.edges.zenoh_link import NOT_EXACT, ZenohLink
+from gateway.edges.zenoh_questions import NO_ANSWER, TOO_MANY
+from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import (
     Event,
     Level,
@@ -47,9 +50,6 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
-from gateway.zenoh_link import NOT_EXACT, ZenohLink
-from gateway.zenoh_questions import NO_ANSWER, TOO_MANY
-from gateway.zenoh_session import LinkError, Receivers, open_session
 from tests.gateway.test_messages import STATUS
 
 ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy
@@ -122,7 +122,7 @@ def client(link: ZenohLink, endpoint: str) -> Iterator[Client]:
 @pytest.fixture
 def stranger(client: Client, endpoint: str) -> Iterator[zenoh.Session]:
     """A bare session that puts whatever it likes."""
-    session = open_session(listen=[], connect=[endpoint], max_message_size=1_000_000)
+    session = open_zenoh(listen=[], connect=[endpoint], max_message_size=1_000_000)
     with session:
         eventually(lambda: list(session.liveliness().get("moby/alive", timeout=0.1)))
         yield session
@@ -216,7 +216,7 @@ def test_a_slow_loop_does_not_get_stale_commands(loop: Loop, stranger: zenoh.Ses
 
 
 def test_a_slow_reader_gets_the_newest_and_holds_up_nobody(endpoint: str) -> None:
-    receivers = Receivers(open_session(listen=[endpoint], connect=[], max_message_size=1000))
+    receivers = Receivers(open_zenoh(listen=[endpoint], connect=[], max_message_size=1000))
     reading, go_on, seen, others = Flag(), Flag(), list[bytes](), list[bytes]()
 
     def read_slowly(sample: zenoh.Sample) -> None:
@@ -226,7 +226,7 @@ def test_a_slow_reader_gets_the_newest_and_holds_up_nobody(endpoint: str) -> Non
 
     receivers.subscribe("slow", read_slowly)
     receivers.subscribe("other", lambda sample: others.append(sample.payload.to_bytes()))
-    with open_session(listen=[], connect=[endpoint], max_message_size=1000) as session:
+    with open_zenoh(listen=[], connect=[endpoint], max_message_size=1000) as session:
 
         def first_is_read() -> bool:
             session.put("slow", b"first")
@@ -561,7 +561,7 @@ def test_a_wrong_endpoint_is_named(wrong: str, why: str) -> None:
 
 def test_a_config_file_that_is_missing_is_named() -> None:
     with pytest.raises(LinkError, match=r"config_file = /no/such\.json5"):
-        open_session(listen=[], connect=[], max_message_size=1000, config_file="/no/such.json5")
+        open_zenoh(listen=[], connect=[], max_message_size=1000, config_file="/no/such.json5")
 
 
 def test_a_config_file_counts_but_not_against_the_robot_file(tmp_path: Path, endpoint: str) -> None:
@@ -571,7 +571,7 @@ def test_a_config_file_counts_but_not_against_the_robot_file(tmp_path: Path, end
     zenoh_section = config.zenoh.model_copy(update={"config_file": str(file)})
     with (
         ZenohLink(config.model_copy(update={"zenoh": zenoh_section}), "text"),
-        open_session(listen=[], connect=[endpoint], max_message_size=1000) as session,
+        open_zenoh(listen=[], connect=[endpoint], max_message_size=1000) as session,
     ):
         eventually(lambda: list(session.get("hall/moby/config", timeout=1.0)))
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gateway.config import OffsetDifferentialRobot, OmniRobot, RobotConfig, load
 from gateway.types import Twist
-from replay.sim.device import STEP_S
-from replay.sim.dynamics import CHASSIS, Dynamics, Vector
+from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants.rigid_body import CHASSIS_MODELS, Dynamics, Vector
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 NAMES = ("omni4", "moby")
@@ -29,7 +29,7 @@ def config(name: str) -> RobotConfig:
 def dynamics(name: str, *, friction: float = 0.0) -> Dynamics:
     robot = config(name).robot
     body = robot.body.model_copy(update={"joint_friction": friction, "joint_drag": 0.0})
-    return Dynamics(CHASSIS[robot.kind](robot.model_copy(update={"body": body})))
+    return Dynamics(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": body})))
 
 
 def rows(model: Dynamics) -> Matrix:
@@ -151,7 +151,7 @@ def test_offset_differential_agrees_with_world_coordinates(u: Vector, heading: f
 def test_omni_without_torque_keeps_its_course_when_the_wheels_weigh_nothing() -> None:
     robot = config("omni4").robot
     body = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0, "joint_inertia": 0.0})
-    model = Dynamics(CHASSIS["omni"](robot.model_copy(update={"body": body})))
+    model = Dynamics(CHASSIS_MODELS["omni"](robot.model_copy(update={"body": body})))
     model.set_velocity((1.0, 0.5, 2.0))
     run(model, 3.0)
     assert model.pose == pytest.approx((3.0, 1.5, 6.0), abs=1e-4)
@@ -165,11 +165,11 @@ def test_omni_rows_of_one_wheel_by_hand() -> None:
     robot = config("omni4").robot
     assert isinstance(robot, OmniRobot)
     wheel = robot.wheel[0].model_copy(update={"x": 0.3, "y": 0.0, "axis_angle": pi / 2.0, "radius": 0.1})
-    chassis = CHASSIS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
+    chassis = CHASSIS_MODELS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
     assert chassis.rows[0] == pytest.approx((-10.0, 0.0, 0.0), abs=1e-12)
     # The same axle at y = 0.2: turning counter-clockwise moves the wheel along -x with 0.2 m/s per rad/s.
     wheel = wheel.model_copy(update={"x": 0.0, "y": 0.2})
-    chassis = CHASSIS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
+    chassis = CHASSIS_MODELS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
     assert chassis.rows[0] == pytest.approx((-10.0, 0.0, 2.0), abs=1e-12)
 
 

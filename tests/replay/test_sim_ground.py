@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from replay.sim.device import STEP_S
-from replay.sim.dynamics import CHASSIS, GRAVITY, Dynamics, Vector
+from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants.rigid_body import CHASSIS_MODELS, GRAVITY, Dynamics, Vector
 from tests.replay.test_sim_dynamics import NAMES, config, dynamics
 
 WHEELS = {"omni4": (0, 1, 2, 3), "moby": (0, 1)}
@@ -47,7 +47,7 @@ def slip(model: Dynamics, joint: int) -> float:
 def test_a_push_acts_along_world_x_whatever_the_heading(heading: float) -> None:
     robot = config("omni4").robot
     weightless = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0, "joint_inertia": 0.0})
-    model = Dynamics(CHASSIS["omni"](robot.model_copy(update={"body": weightless})))
+    model = Dynamics(CHASSIS_MODELS["omni"](robot.model_copy(update={"body": weightless})))
     model.pose = model.pose._replace(theta=heading)
     model.push = 50.0
     run(model, 0.05)
@@ -106,11 +106,11 @@ def loaded(name: str, mass: float) -> tuple[Dynamics, Dynamics]:
     body = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0})
     models = []
     for _ in range(2):
-        model = Dynamics(CHASSIS[robot.kind](robot.model_copy(update={"body": body})))
+        model = Dynamics(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": body})))
         model.set_velocity((1.0, 0.0, 0.0))
         models.append(model)
     heavier = body.model_copy(update={"mass": mass})
-    models[1].load(CHASSIS[robot.kind](robot.model_copy(update={"body": heavier})))
+    models[1].load(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": heavier})))
     return models[0], models[1]
 
 

@@ -1,0 +1,72 @@
+"""What the service and its recorder process say to each other: packets of msgpack, one per cycle and direction."""
+
+from typing import NamedTuple
+
+import msgspec
+
+from gateway.types import CycleTiming, Inputs, Outputs
+
+
+class Hello(NamedTuple):
+    """First packet to a recorder process. `folder`: the session to go on with; None starts a new one.
+
+    `config_json` is what the service runs with, which a command line may have changed; `config_text` is the file.
+    """
+
+    config_json: str
+    config_text: str
+    config_origin: str
+    folder: str | None
+    started_wall_ns: int
+    wall_minus_mono_ns: int
+
+
+class Record(msgspec.Struct, frozen=True, array_like=True, tag="cycle"):
+    """One cycle, as the service saw it."""
+
+    inputs: Inputs
+    outputs: Outputs
+    timing: CycleTiming
+
+
+class Gap(msgspec.Struct, frozen=True, array_like=True, tag="gap"):
+    """Cycles that are missing from the recording, first to last, and why."""
+
+    first_cycle: int
+    last_cycle: int
+    reason: str
+
+
+class End(msgspec.Struct, frozen=True, array_like=True, tag="end"):
+    """The last packet of a service that ends in order: every cycle has come before it, or its gap has."""
+
+
+class RecorderReport(NamedTuple):
+    """State of the recorder process; each report replaces the one before.
+
+    `records` came in and are dealt with, the last of them `settled_cycle`; `lost` of them are not on the disk.
+    `error` None: all is well.
+    """
+
+    folder: str
+    segment: int
+    records: int
+    settled_cycle: int | None
+    lost: int
+    error: str | None
+    closed: bool
+
+
+Packet = Record | Gap | End
+
+PACKET_LIMIT = 1 << 20  # bytes; a cycle of 1 MB has some 40 000 frames
+
+_encoder = msgspec.msgpack.Encoder()
+_packets: msgspec.msgpack.Decoder[Packet] = msgspec.msgpack.Decoder(Packet)
+_hellos = msgspec.msgpack.Decoder(Hello)
+_reports = msgspec.msgpack.Decoder(RecorderReport)
+
+encode = _encoder.encode
+decode_packet = _packets.decode
+decode_hello = _hellos.decode
+decode_report = _reports.decode
