@@ -1,13 +1,20 @@
 """Laws of the moving setpoint: within every limit, along the straight line, arriving exactly, without overshoot."""
 
 import itertools
-from math import isclose, sqrt
+from math import atanh, isclose, sqrt
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.control.limits import TwistLimiter, scale_to, stopping_time, turning_excess
+from gateway.control.limits import (
+    _TURNING_DELAY,
+    TURNING_SHARE,
+    TwistLimiter,
+    scale_to,
+    stopping_time,
+    turning_excess,
+)
 from gateway.types import ZERO_TWIST, Twist
 
 limits = st.tuples(*[st.floats(0.2, 5.0)] * 3).map(lambda values: Twist(*values))
@@ -125,3 +132,9 @@ def test_brakes_to_rest_within_the_stopping_time(
 
 def test_brakes_in_time_where_a_curve_meets_a_ramp_too_short_for_full_acceleration() -> None:
     assert brakes_in_time(Twist(1, 1, 1), Twist(2, 2, 3), Twist(1, 1, 1), Twist(1, 1, 1), 0.004)
+
+
+def test_the_delay_of_turning_is_that_of_its_share() -> None:
+    """Written out in the code, because atanh is not the same on every CPU."""
+    assert pytest.approx(atanh(sqrt(0.7)) / sqrt(0.7), rel=1e-15) == _TURNING_DELAY
+    assert TURNING_SHARE == 0.7
