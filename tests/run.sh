@@ -1,5 +1,6 @@
 #!/bin/sh
-# Sets up a test environment in .venv and runs everything: style, types, tests, and the two virtual-machine lanes.
+# Sets up a test environment in .venv and runs everything: style, types, tests, the
+# two virtual-machine lanes, and the lane that wants the same bytes from another processor.
 set -eu
 cd "$(dirname "$0")/.."
 . deploy/venv.sh
@@ -10,3 +11,4 @@ make_venv .venv
 .venv/bin/mypy
 .venv/bin/python -m pytest "$@"
 .venv/bin/python -m tests.vm
+.venv/bin/python -m tests.equality
