@@ -31,9 +31,13 @@ class WheelPose(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Pseudo-inverse and consistency rows of one set of measured wheels, per wheel speed (rad/s)."""
+    """What one set of measured wheels says, per wheel speed (rad/s).
 
-    to_twist: Matrix
+    `shares`: what each wheel adds to the twist, a column of the pseudo-inverse. `checks`: rows that any rigid motion
+    takes to zero.
+    """
+
+    shares: tuple[tuple[float, float, float], ...]
     checks: Matrix
 
 
@@ -65,12 +69,18 @@ class OmniKinematics:
             solution, known = self._solutions[self._all], cast("list[float]", speeds)
         if solution is None:
             return None
-        x, y, z = solution.to_twist
-        twist = Twist(dot(x, known), dot(y, known), dot(z, known))
+        vx = vy = wz = 0.0
+        for (x, y, z), speed in zip(solution.shares, known, strict=True):
+            vx += x * speed
+            vy += y * speed
+            wz += z * speed
         if not solution.checks:
-            return Estimate(twist, None)
-        unexplained = [dot(check, known) for check in solution.checks]
-        return Estimate(twist, sqrt(dot(unexplained, unexplained)))
+            return Estimate(Twist(vx, vy, wz), None)
+        square = 0.0
+        for check in solution.checks:
+            unexplained = dot(check, known)
+            square += unexplained * unexplained
+        return Estimate(Twist(vx, vy, wz), sqrt(square))
 
     def drivable(self, usable: Sequence[bool]) -> bool:
         """Three independent wheels reach every direction; the others roll along."""
@@ -94,7 +104,8 @@ class OmniKinematics:
                 raise
             return None
         radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
-        return _Solution(_scaled(inverse, radii), _scaled(kernel(transpose(rows)), radii))
+        x, y, z = _scaled(inverse, radii)
+        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(kernel(transpose(rows)), radii))
 
 
 def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
