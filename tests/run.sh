@@ -1,5 +1,5 @@
 #!/bin/sh
-# Sets up a test environment in .venv and runs everything: style, types, tests, and the two virtual-machine lanes.
+# Sets up a test environment in .venv and runs everything: style, types, tests in both forms, and the two virtual-machine lanes.
 set -eu
 cd "$(dirname "$0")/.."
 . deploy/venv.sh
@@ -9,4 +9,5 @@ make_venv .venv
 .venv/bin/ruff check .
 .venv/bin/mypy
 .venv/bin/python -m pytest "$@"
+.venv/bin/python -m tests.compiled -q
 .venv/bin/python -m tests.vm

@@ -455,6 +455,7 @@ def test_a_joint_angle_that_comes_back_while_braking_makes_no_wheel_step() -> No
     assert max(steps) < 0.5
 
 
+@pytest.mark.pure_python
 def test_a_motor_released_while_driving_is_not_driven_again_on_the_way_to_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
