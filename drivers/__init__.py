@@ -1,8 +1,8 @@
 """CAN protocols of motor controllers. A new controller is one file here and one line in `DRIVERS`."""
 
+from drivers.contract import DriverType
 from drivers.dji import DjiDriver
-from drivers.interface import DriverType
-from drivers.odrive import OdriveDriver
+from drivers.odrive.group import OdriveDriver
 
 DRIVERS: dict[str, DriverType] = {
     "odrive": OdriveDriver,

@@ -5,7 +5,7 @@ from itertools import combinations
 from math import inf
 from typing import NamedTuple
 
-from drivers.interface import IdUse, MotorSpec
+from drivers.contract import IdUse, MotorSpec
 
 MIN_FEEDBACK_TIMEOUT_NS = 50_000_000
 FEEDBACK_TIMEOUT_PERIODS = 5

@@ -20,7 +20,7 @@ from struct import Struct
 from typing import ClassVar, NamedTuple
 
 from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_specs, feedback_timeout_ns
-from drivers.interface import (
+from drivers.contract import (
     CanFrame,
     Capabilities,
     CommandKind,

@@ -1,4 +1,4 @@
-"""A typed client of one robot, for the CLI, for demos and for tests. Keys and payloads: `gateway.messages`.
+"""A typed client of one robot, for the CLI, for demos and for tests. Keys and payloads: `gateway.edges.messages`.
 
     with Client("moby") as client:
         client.wait_alive(5.0)
@@ -20,11 +20,11 @@ from typing import Self, SupportsFloat, SupportsIndex, TypeVar
 
 import zenoh
 
-from gateway import messages
 from gateway.config import NAME_PATTERN
-from gateway.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.edges import messages
+from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.edges.zenoh_session import LinkError, Receivers, open_session
 from gateway.types import ZERO_TWIST, Mode, TwistFrame
-from gateway.zenoh_session import LinkError, Receivers, open_session
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages

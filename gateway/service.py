@@ -17,16 +17,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Protocol, TypeVar
 
-from drivers.interface import CanFrame
-from gateway.can_bus import BusEdge
+from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_time
-from gateway.engine import Engine
-from gateway.estop_gate import EstopGate, News
-from gateway.estop_latch import Kept
-from gateway.signals import EndRequest
-from gateway.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
-from gateway.systemd import Notifier, Readiness
+from gateway.core.engine import Engine
+from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
+from gateway.edges.can_bus import BusEdge
+from gateway.edges.estop_gate import EstopGate, News
+from gateway.edges.estop_latch import Kept
+from gateway.edges.signals import EndRequest
+from gateway.edges.systemd import Notifier, Readiness
 from gateway.types import (
     CycleTiming,
     Event,

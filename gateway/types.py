@@ -3,7 +3,7 @@
 from enum import Enum
 from typing import NamedTuple
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 
 
 class Twist(NamedTuple):
@@ -26,7 +26,7 @@ ZERO_TWIST = Twist(0.0, 0.0, 0.0)
 
 
 class Mode(Enum):
-    """Operating state of the robot; the transitions are one table in `gateway.supervisor`."""
+    """Operating state of the robot; the transitions are one table in `gateway.core.supervisor`."""
 
     IDLE = "idle"  # motors released, waiting for a fresh zero command
     STARTING = "starting"  # arming the motors, robot held at rest

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from math import cos, pi, sin
 
-from drivers.interface import CanFrame
-from gateway.record import Record
+from drivers.contract import CanFrame
+from gateway.recording.packets import Record
 from gateway.types import (
     CycleTiming,
     Event,

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gateway.config import RobotConfig, parse
-from gateway.record import Gap, Hello, Record
-from gateway.recorder_writer import SessionWriter
+from gateway.recording.packets import Gap, Hello, Record
+from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Inputs
-from replay.session import RecordedOutputs
+from replay.sessions.reader import RecordedOutputs
 from tests.world import World
 
 ROBOT_FILE = Path(__file__).parent.parent / "deploy" / "robots" / "moby.toml"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from gateway.recorder_disk import segments
+from gateway.recording.disk import segments
 
 SIZE = "1600x1000"
 START_S = 30.0

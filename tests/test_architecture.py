@@ -10,30 +10,35 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("drivers", "gateway", "replay")
 EDGES = {
-    "gateway/can_adapter.py",
-    "gateway/can_bus.py",
+    "gateway/edges/can_adapter.py",
+    "gateway/edges/can_bus.py",
     "gateway/client.py",
-    "gateway/estop_latch.py",
-    "gateway/exclusive.py",
-    "gateway/log_queue.py",
-    "gateway/recorder.py",
-    "gateway/recorder_process.py",
+    "gateway/edges/estop_latch.py",
+    "gateway/edges/claims.py",
+    "gateway/edges/log_queue.py",
+    "gateway/recording/recorder.py",
+    "gateway/recording/process.py",
     "gateway/service.py",
-    "gateway/realtime.py",
-    "gateway/signals.py",
-    "gateway/systemd.py",
-    "gateway/zenoh_link.py",
-    "gateway/zenoh_questions.py",
-    "gateway/zenoh_session.py",
-    "replay/player.py",
-    "replay/redrive.py",
-    "replay/sim/interface.py",
+    "gateway/edges/realtime.py",
+    "gateway/edges/signals.py",
+    "gateway/edges/systemd.py",
+    "gateway/edges/zenoh_link.py",
+    "gateway/edges/zenoh_questions.py",
+    "gateway/edges/zenoh_session.py",
+    "replay/drive/player.py",
+    "replay/drive/redrive.py",
+    "replay/sim/network_device.py",
     "replay/sim/server.py",
-    "replay/verify.py",
+    "replay/compare/verify.py",
 }
 EDGE_FOLDERS = ("gateway/cli/",)
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
-RERUN_ROOMS = ("gateway/recorder_", "gateway/blueprint.py", "replay/session.py", "replay/repair.py")
+RERUN_ROOMS = (
+    "gateway/recorder_",
+    "gateway/recording/blueprint.py",
+    "replay/sessions/reader.py",
+    "replay/sessions/framing.py",
+)
 
 
 def sources() -> list[Path]:
@@ -78,7 +83,7 @@ def test_core_is_pure(path: Path) -> None:
     if not rerun_room and not name(path).startswith("gateway/cli/"):
         assert not tops & {"rerun", "pyarrow"}
     if "pydantic" in tops:
-        assert name(path) in {"gateway/config.py", "gateway/messages.py", "replay/drive/scenario_file.py"}
+        assert name(path) in {"gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"}
 
 
 @pytest.mark.parametrize("path", sources(), ids=name)

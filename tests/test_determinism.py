@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 
-from drivers.interface import CanFrame
-from gateway.engine import Engine
+from drivers.contract import CanFrame
+from gateway.core.engine import Engine
 from gateway.types import Inputs, Mode, Outputs, Twist, TwistFrame
-from replay.session import RecordedOutputs, open_session
-from replay.verify import verify
+from replay.compare.verify import verify
+from replay.sessions.reader import RecordedOutputs, open_session
 from tests.recordings import write_drive
 from tests.scripts import Script, both, few, play, scripts
 from tests.world import World

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from gateway.config import RobotConfig, parse
-from gateway.engine import Engine
+from gateway.core.engine import Engine
 from gateway.types import (
     ZERO_TWIST,
     Event,

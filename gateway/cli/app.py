@@ -11,9 +11,9 @@ import typer
 
 from gateway.cli.output import EXIT_CONFIG, complain
 from gateway.config import ConfigError
-from gateway.exclusive import InUseError
-from gateway.recorder import RecorderError
-from gateway.zenoh_session import LinkError
+from gateway.edges.claims import InUseError
+from gateway.edges.zenoh_session import LinkError
+from gateway.recording.recorder import RecorderError
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 COMMANDS = {  # command: module of gateway.cli that has a function (or a group) of that name

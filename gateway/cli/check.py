@@ -6,9 +6,9 @@ import typer
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.check import LOAD_WARNING, Report, examine
 from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
 from gateway.config import ConfigError, load
+from gateway.core.examination import LOAD_WARNING, Report, examine
 
 
 def check(

@@ -26,10 +26,10 @@ from gateway.cli.replay import show, verify_with_progress
 from gateway.cli.viewer import view
 from gateway.client import Client
 from gateway.config import load
-from gateway.messages import OdometryMessage, StateMessage, TruthMessage
+from gateway.edges.messages import OdometryMessage, StateMessage, TruthMessage
 from gateway.types import ZERO_TWIST, Twist
-from replay.session import open_session
-from replay.verify import Verdict
+from replay.compare.verify import Verdict
+from replay.sessions.reader import open_session
 
 SOURCE = "autonomy"
 START_TIMEOUT_S = 30.0

@@ -16,14 +16,14 @@ from typing import Annotated
 
 import typer
 
-from gateway import doctor as judge
 from gateway import robot_files
-from gateway.can_link import CanLink, parse_link
 from gateway.cli.output import console, print_json
 from gateway.client import Client
 from gateway.config import Bus, RobotConfig, load
-from gateway.doctor import Finding, Grade, RealTime, Unit
-from gateway.zenoh_session import LinkError
+from gateway.edges import host_checks as judge
+from gateway.edges.can_link import CanLink, parse_link
+from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
+from gateway.edges.zenoh_session import LinkError
 
 INSTALLED = Path("/etc/drivegate")
 SESSIONS = Path("/var/lib/drivegate")

@@ -34,7 +34,7 @@ from gateway.cli.operate import (
 )
 from gateway.cli.output import complain, console
 from gateway.client import Client
-from gateway.messages import ResetAnswer
+from gateway.edges.messages import ResetAnswer
 from gateway.types import ZERO_TWIST, Level, Twist
 
 MAX_READ = 1024  # bytes; a second of keys is far less

@@ -11,7 +11,7 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.config import ConfigError, load
-from gateway.messages import EventMessage, ResetAnswer, StateMessage, encode_twist
+from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist
 from gateway.types import ZERO_TWIST, Mode, Pose, Twist
 
 EXIT_NO_ROBOT = 69

@@ -6,7 +6,7 @@ import typer
 
 from gateway.cli.operate import EXIT_REFUSED, Connect, RobotName, open_client, tell
 from gateway.cli.output import complain
-from gateway.messages import encode_reference
+from gateway.edges.messages import encode_reference
 
 
 def reference(

@@ -8,18 +8,18 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gateway.can_adapter import AdapterError, opened
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
-from gateway.exclusive import Claims
-from gateway.zenoh_session import LinkError
-from replay.comparison import Comparison
-from replay.player import Direction, Due, Played, is_alive, recorded, recorded_buses
-from replay.player import play as play_frames
-from replay.redrive import RedriveError, redrive
-from replay.session import Session, SessionError, open_session
-from replay.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
-from replay.verify import verify as run_verify
+from gateway.edges.can_adapter import AdapterError, opened
+from gateway.edges.claims import Claims
+from gateway.edges.zenoh_session import LinkError
+from replay.compare.likeness import Comparison
+from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
+from replay.compare.verify import verify as run_verify
+from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
+from replay.drive.player import play as play_frames
+from replay.drive.redrive import RedriveError, redrive
+from replay.sessions.reader import Session, SessionError, open_session
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
 

@@ -10,17 +10,18 @@ from typing import Annotated
 
 import typer
 
-from gateway import log_queue, realtime, robot_files
-from gateway.can_bus import CanBuses
-from gateway.check import examine
+from gateway import robot_files
 from gateway.config import RobotConfig, load
-from gateway.estop_latch import EstopFile, EstopLatch
-from gateway.recorder import NullRecorder, Recorder
+from gateway.core.examination import examine
+from gateway.edges import log_queue, realtime
+from gateway.edges.can_bus import CanBuses
+from gateway.edges.estop_latch import EstopFile, EstopLatch
+from gateway.edges.signals import EndRequest
+from gateway.edges.systemd import Notifier
+from gateway.edges.zenoh_link import ZenohLink
+from gateway.recording.recorder import NullRecorder, Recorder
 from gateway.service import Service
-from gateway.signals import EndRequest
-from gateway.systemd import Notifier
 from gateway.types import Outputs
-from gateway.zenoh_link import ZenohLink
 from replay.sim.bus import SimulatedBus
 
 CLOSE_RECORDING_S = 20.0

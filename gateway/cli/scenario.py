@@ -11,9 +11,9 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gateway.check import examine
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError, load
+from gateway.core.examination import examine
 from replay.drive.moment import Moment
 from replay.drive.scenario import Result, Watch, run_scenario
 from replay.drive.scenario_file import check_names, find_robot, load_scenario

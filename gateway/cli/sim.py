@@ -13,13 +13,13 @@ import typer
 import zenoh
 
 from gateway import robot_files
-from gateway.check import examine
 from gateway.client import MAX_MESSAGE_SIZE
 from gateway.config import RobotConfig, load
-from gateway.messages import encode_truth
-from gateway.zenoh_session import Receivers, open_session
-from replay.sim.device import SECOND_NS
-from replay.sim.interface import MotorsInterface
+from gateway.core.examination import examine
+from gateway.edges.messages import encode_truth
+from gateway.edges.zenoh_session import Receivers, open_session
+from replay.sim.controllers.contract import SECOND_NS
+from replay.sim.network_device import MotorsInterface
 from replay.sim.server import SimulationServer
 
 TRUTH_RATE_HZ = 20.0

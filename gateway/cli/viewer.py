@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from gateway.cli.output import complain, console
-from gateway.recorder_disk import segments
+from gateway.recording.disk import segments
 
 WEB_PORT = 9090
 DATA_PORT = 9876

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gateway.config import OffsetDifferentialRobot, OmniRobot
-from gateway.kinematics.interface import Kinematics
+from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.kinematics.omni import OmniKinematics, WheelPose
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.kinematics.interface import Estimate, GeometryError, Matrix
+from gateway.kinematics.contract import Estimate, GeometryError, Matrix
 from gateway.types import Twist
 
 PLATFORM = 2  # place of the joint; the wheels are 0 (left) and 1 (right)

@@ -15,7 +15,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from gateway.kinematics.interface import MAX_CONDITION, Estimate, GeometryError, Matrix
+from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Matrix
 from gateway.types import Twist
 
 _AXES = 3

@@ -11,7 +11,7 @@ stop, which outlives the process, reaches it as a request in its first cycle.
 from collections.abc import Iterable, Mapping
 
 from gateway.config import RobotConfig
-from gateway.engine import Engine
+from gateway.core.engine import Engine
 from gateway.types import Inputs, Mode, Outputs, Request, RequestKind, TwistCommand
 from replay.sim.bus import SimulatedBus
 from replay.sim.robot import SimulatedRobot

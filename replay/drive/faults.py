@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
-from replay.sim.dynamics import CHASSIS
+from replay.sim.plants.rigid_body import CHASSIS
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from gateway.config import RobotConfig
-from gateway.record import Hello, Record
-from gateway.recorder import RecorderError
-from gateway.recorder_writer import SessionWriter
+from gateway.recording.packets import Hello, Record
+from gateway.recording.recorder import RecorderError
+from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Inputs, Outputs
 from replay.drive.closed_loop import FIRST_NS
 

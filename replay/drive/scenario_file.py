@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway import robot_files
 from gateway.config import ConfigError, Name, RobotConfig, parse_as, read
-from gateway.messages import MAX_SPEED, MAX_TURN
+from gateway.edges.messages import MAX_SPEED, MAX_TURN
 from gateway.types import Mode
 from replay.drive.faults import RULES, FaultKind, Target, wheels
 

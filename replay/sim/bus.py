@@ -10,12 +10,12 @@ Faults are methods here for the bus and on `robot.devices[name]` for a controlle
 from collections.abc import Sequence
 from random import Random
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from gateway.types import BusEvent
-from replay.sim.device import SECOND_NS
+from replay.sim.attached_bus import Segment
+from replay.sim.controllers.contract import SECOND_NS
 from replay.sim.robot import SimulatedRobot
-from replay.sim.segment import Segment
 from replay.sim.wire import Stuffing
 
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from gateway.config import Motor, RobotConfig
 from gateway.types import Pose, Twist
-from replay.sim.device import STEP_NS, MotorSetup, Shaft, SimulatedDevice
-from replay.sim.dji import SimulatedDji
-from replay.sim.dynamics import CHASSIS, Dynamics
-from replay.sim.odrive import SimulatedODrive
+from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
+from replay.sim.controllers.dji import SimulatedDji
+from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.plants.rigid_body import CHASSIS, Dynamics
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,

@@ -15,10 +15,10 @@ from collections.abc import Mapping
 
 import can
 
-from drivers.interface import CanFrame
-from gateway.can_adapter import AdapterError, ask, flaw, frame_of, message_of
+from drivers.contract import CanFrame
 from gateway.config import RobotConfig
-from replay.sim.device import STEP_NS, Emission
+from gateway.edges.can_adapter import AdapterError, ask, flaw, frame_of, message_of
+from replay.sim.controllers.contract import STEP_NS, Emission
 from replay.sim.robot import SimulatedRobot
 
 logger = logging.getLogger(__name__)

@@ -10,8 +10,8 @@ from enum import Enum
 from heapq import heappop, heappush
 from typing import NamedTuple
 
-from drivers.interface import CanFrame
-from replay.sim.device import SECOND_NS, Emission
+from drivers.contract import CanFrame
+from replay.sim.controllers.contract import SECOND_NS, Emission
 
 MAILBOXES = 3  # frames of one id that a device keeps while the bus is busy; the oldest goes. Source: ours
 

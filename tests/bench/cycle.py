@@ -3,7 +3,7 @@
 import statistics
 import time
 
-from gateway.engine import Engine
+from gateway.core.engine import Engine
 from gateway.types import Inputs, Twist
 from tests.world import World
 

@@ -7,9 +7,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from gateway.record import Record
-from gateway.recorder import Recorder
-from replay.session import open_session
+from gateway.recording.packets import Record
+from gateway.recording.recorder import Recorder
+from replay.sessions.reader import open_session
 from tests.drives import drive
 from tests.recordings import robot, robot_text, writer
 

@@ -4,8 +4,8 @@ import tempfile
 from pathlib import Path
 
 from gateway.types import Twist
-from replay.session import open_session
-from replay.verify import verify
+from replay.compare.verify import verify
+from replay.sessions.reader import open_session
 from tests.recordings import write_drive
 from tests.world import NAMES, World
 

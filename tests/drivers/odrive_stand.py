@@ -1,7 +1,7 @@
 """One ODrive axis on a bench, and the frames of its bring-up as text (node 3)."""
 
-from drivers.interface import CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
-from drivers.odrive import OdriveDriver
+from drivers.contract import CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from drivers.odrive.group import OdriveDriver
 from tests.drivers.rig import BUS, WATCHDOG, Bench, FakeOdrive, can_text, odrive_setpoints, spec
 
 VELOCITY = MotorCommand(CommandKind.VELOCITY, 10.0)

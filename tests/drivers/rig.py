@@ -7,7 +7,7 @@ from struct import Struct, pack, unpack, unpack_from
 from typing import Protocol
 
 from drivers import DRIVERS
-from drivers.interface import (
+from drivers.contract import (
     CanFrame,
     CommandKind,
     DecodedFrame,
@@ -18,7 +18,7 @@ from drivers.interface import (
     MotorState,
     Watchdog,
 )
-from drivers.odrive_firmware import FIRMWARES
+from drivers.odrive.firmware import FIRMWARES
 
 BUS = "can0"
 MS = 1_000_000

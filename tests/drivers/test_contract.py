@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers import DRIVERS, driver_problem
 from drivers.checks import id_conflicts
-from drivers.interface import (
+from drivers.contract import (
     BRAKE,
     COAST,
     CanFrame,

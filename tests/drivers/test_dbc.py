@@ -10,10 +10,9 @@ from cantools.database.can import Database, Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.contract import CanFrame, CommandKind, MotorCommand
 from drivers.dji import VARIANTS, DjiDriver
-from drivers.interface import CanFrame, CommandKind, MotorCommand
-from drivers.odrive import OdriveDriver
-from drivers.odrive_firmware import (
+from drivers.odrive.firmware import (
     CONTROLLER_ERRORS_05,
     ENCODER_ERRORS_05,
     ERRORS_05,
@@ -23,6 +22,7 @@ from drivers.odrive_firmware import (
     PROCEDURE_RESULTS_06,
     Bit,
 )
+from drivers.odrive.group import OdriveDriver
 from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, spec
 
 

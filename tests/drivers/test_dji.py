@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.contract import COAST, CanFrame, CommandKind, MotorCommand, MotorState
 from drivers.dji import DjiDriver
-from drivers.interface import COAST, CanFrame, CommandKind, MotorCommand, MotorState
 from tests.drivers.rig import BUS, MS, can_text, spec
 
 TICK = 2.0 * pi / 8192

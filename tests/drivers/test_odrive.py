@@ -5,8 +5,8 @@ from struct import unpack
 
 import pytest
 
-from drivers.interface import BRAKE, COAST, MotorState
-from drivers.odrive import OdriveDriver
+from drivers.contract import BRAKE, COAST, MotorState
+from drivers.odrive.group import OdriveDriver
 from tests.drivers.odrive_stand import (
     ARM,
     CLEAR_06,

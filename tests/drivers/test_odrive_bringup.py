@@ -5,7 +5,7 @@ from struct import pack, unpack
 
 import pytest
 
-from drivers.interface import BRAKE, COAST, CanFrame, MotorState
+from drivers.contract import BRAKE, COAST, CanFrame, MotorState
 from tests.drivers.odrive_stand import (
     ARM,
     CLEAR_05,

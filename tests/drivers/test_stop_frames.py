@@ -5,9 +5,9 @@ from struct import pack, unpack
 import pytest
 
 from drivers import DRIVERS
+from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
 from drivers.dji import FULL_BRAKING_NS, DjiDriver
-from drivers.interface import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
-from replay.sim.device import STEP_NS, MotorSetup, Shaft, SimulatedDevice
+from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.robot import CONTROLLERS
 from tests.drivers.rig import BUS, MS, PAIRS, spec
 

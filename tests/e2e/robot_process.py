@@ -10,10 +10,10 @@ from types import TracebackType
 from typing import Self
 
 from gateway.client import Client
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
-from replay.session import open_session
-from replay.verify import Verdict, verify
+from replay.compare.verify import Verdict, verify
+from replay.sessions.reader import open_session
 from tests.world import ROBOTS
 
 START_S = 40.0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
 from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, standing
 from tests.unread import UNREAD, Unread

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from gateway.edges.zenoh_session import open_session as open_zenoh
 from gateway.types import Mode
-from gateway.zenoh_session import open_session as open_zenoh
 from tests.e2e.robot_process import RobotProcess, faster_than, in_mode, kept_out, standing
 from tests.world import NAMES
 

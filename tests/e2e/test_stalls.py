@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
 from tests.e2e.relay import Relay
 from tests.e2e.robot_process import RobotProcess, faster_than, in_mode

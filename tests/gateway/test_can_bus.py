@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-from drivers.interface import CanFrame
-from gateway.can_bus import MAX_FRAMES_PER_DRAIN, REOPEN_NS, STUCK_CYCLES, CanBuses, interface_exists
+from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig, load
-from gateway.exclusive import Claims, InUseError
-from gateway.robot import build
+from gateway.core.assembly import build
+from gateway.edges.can_bus import MAX_FRAMES_PER_DRAIN, REOPEN_NS, STUCK_CYCLES, CanBuses, interface_exists
+from gateway.edges.claims import Claims, InUseError
 from gateway.types import BusEventKind
 from tests.world import NAMES, ROBOTS, World
 
@@ -211,7 +211,7 @@ def test_a_flood_is_taken_in_parts(bench: Bench) -> None:
 def test_stamps_neither_fall_nor_lie_in_the_future(
     monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     bench.cycle()
     bench.bus.inbox.extend(heartbeat(stamp) for stamp in (3e9, 1.0, 2.0))  # a wall clock that was set meanwhile
@@ -275,7 +275,7 @@ def test_whatever_opening_and_closing_raise_is_survived(bench: Bench, error: Exc
 def test_a_bus_that_fails_half_opened_is_closed(
     monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     monkeypatch.setattr(ScriptedBus, "set_filters", lambda *_: 1 // 0)
     assert bench.cycle()[1] == [BusEventKind.DOWN]
@@ -338,7 +338,7 @@ def test_stamps_of_other_adapters_are_not_trusted(bench: Bench, stamp: float) ->
 
 
 def test_stamps_of_socketcan_are_trusted(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    monkeypatch.setattr("gateway.can_bus.interface_exists", lambda _channel: True)
+    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     bench.now_ns = time.monotonic_ns()
     bench.cycle()
@@ -396,7 +396,7 @@ def test_other_motors_on_the_same_bus_are_nobodys_business(request: pytest.Fixtu
 
 def test_a_killed_process_holds_nothing(request: pytest.FixtureRequest) -> None:
     program = (
-        "import sys, time; from gateway.exclusive import Claims; "
+        "import sys, time; from gateway.edges.claims import Claims; "
         f"claims = Claims('socketcan', {request.node.name!r}, [1]); print('held', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.check import examine, frame_bits
 from gateway.config import ConfigError, load, parse
-from gateway.engine import Engine
-from gateway.robot import build
+from gateway.core.assembly import build
+from gateway.core.engine import Engine
+from gateway.core.examination import examine, frame_bits
 from tests.world import NAMES, ROBOTS, robot_text
 
 WRONG = [

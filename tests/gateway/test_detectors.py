@@ -5,7 +5,7 @@ from itertools import repeat
 
 import pytest
 
-from gateway.detectors import (
+from gateway.core.detectors import (
     Detector,
     FollowingDetector,
     FrozenEncoderDetector,

@@ -5,10 +5,10 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from gateway import doctor
-from gateway.can_link import CanLink, parse_link
 from gateway.cli.app import build
-from gateway.doctor import Finding, Grade, RealTime, Unit
+from gateway.edges import host_checks as doctor
+from gateway.edges.can_link import CanLink, parse_link
+from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
 from tests.world import ROBOTS
 
 # `ip -details -statistics -json link show`, iproute2 6.1: a CAN adapter (shortened), a vcan, nothing.

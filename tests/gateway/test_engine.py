@@ -5,8 +5,8 @@ from math import hypot, pi
 
 import pytest
 
-from drivers.interface import MotorState
-from gateway.health import Fault, FaultKind
+from drivers.contract import MotorState
+from gateway.core.health import Fault, FaultKind
 from gateway.types import ZERO_TWIST, Mode, Reply, Request, RequestKind, Status, Twist, TwistFrame
 from tests.world import NAMES, World
 

@@ -12,11 +12,11 @@ from threading import Event as Signal
 
 import pytest
 
-from gateway import estop_latch
 from gateway.cli.run import _state_directory
 from gateway.config import parse
-from gateway.estop_gate import HOLD_NS, EstopGate, News
-from gateway.estop_latch import EstopFile, EstopLatch, Kept
+from gateway.edges import estop_latch
+from gateway.edges.estop_gate import HOLD_NS, EstopGate, News
+from gateway.edges.estop_latch import EstopFile, EstopLatch, Kept
 from gateway.types import Event, Level
 from tests.world import robot_text
 

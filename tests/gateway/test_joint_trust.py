@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.joint_trust import HICCUP_NS, HICCUP_WAY, JointTrust
+from gateway.core.joint_trust import HICCUP_NS, HICCUP_WAY, JointTrust
 
 JOINT, TOP_SPEED = 1, 7.0
 

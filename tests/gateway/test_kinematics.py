@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gateway.config import load
 from gateway.kinematics import KINEMATICS
-from gateway.kinematics.interface import GeometryError, Kinematics, desaturate
+from gateway.kinematics.contract import GeometryError, Kinematics, desaturate
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Twist

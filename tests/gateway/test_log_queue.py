@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from gateway.log_queue import LogOutput, LogQueue
+from gateway.edges.log_queue import LogOutput, LogQueue
 
 LAYOUT = "%(levelname)s: %(message)s"
 
@@ -124,7 +124,7 @@ def test_a_wrong_log_call_does_not_raise(monkeypatch: pytest.MonkeyPatch) -> Non
 
 PROGRAM = """
 import logging, os, sys
-from gateway.log_queue import take_over
+from gateway.edges.log_queue import take_over
 take_over(level=logging.INFO, layout="%(message)s")
 for number in range(int(sys.argv[1])):
     logging.getLogger("a").info("%d %s", number, "x" * 2000)

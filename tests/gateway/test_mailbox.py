@@ -5,8 +5,8 @@ from functools import partial
 
 import pytest
 
-from gateway.mailbox import MAX_EVENTS, MAX_QUESTIONS, MAX_REFUSALS, NOTHING, QUESTION_EXPIRY_NS, Mailbox, Outbox
-from gateway.messages import decode_event
+from gateway.edges.mailbox import MAX_EVENTS, MAX_QUESTIONS, MAX_REFUSALS, NOTHING, QUESTION_EXPIRY_NS, Mailbox, Outbox
+from gateway.edges.messages import decode_event
 from gateway.types import (
     ZERO_TWIST,
     Event,

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway import messages
-from gateway.messages import EventMessage, OdometryMessage, ResetAnswer, TruthMessage, parse_twist
+from gateway.edges import messages
+from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, TruthMessage, parse_twist
 from gateway.types import (
     ZERO_TWIST,
     Event,

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.core.odometry import WheelOdometry, advance
 from gateway.kinematics.omni import OmniKinematics, WheelPose
-from gateway.odometry import WheelOdometry, advance
 from gateway.types import Pose, Twist
 
 RADIUS = 0.05

@@ -7,15 +7,15 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.interface import DriverFault, MotorFeedback, MotorState
-from gateway.commands import Arbiter
+from drivers.contract import DriverFault, MotorFeedback, MotorState
 from gateway.config import Source
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
-from gateway.detectors import Limits, Sample
-from gateway.health import RETURN_GRACE_NS, FaultKind, Health, HealthMonitor
-from gateway.reporter import Due
-from gateway.systemd import Notifier
+from gateway.core.arbiter import Arbiter
+from gateway.core.detectors import Limits, Sample
+from gateway.core.health import RETURN_GRACE_NS, FaultKind, Health, HealthMonitor
+from gateway.core.reporter import Due
+from gateway.edges.systemd import Notifier
 from gateway.types import ZERO_TWIST, TwistCommand, TwistFrame
 
 WELL = MotorFeedback(MotorState.OPERATIONAL, 0.0, 0.0)

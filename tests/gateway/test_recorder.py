@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.interface import CanFrame
-from gateway import recorder as recorder_module
-from gateway.record import Record
-from gateway.recorder import NullRecorder, Recorder, RecorderError
-from gateway.recorder_disk import new_session, next_segment, segments
-from replay.session import Session, open_session
+from drivers.contract import CanFrame
+from gateway.recording import recorder as recorder_module
+from gateway.recording.disk import new_session, next_segment, segments
+from gateway.recording.packets import Record
+from gateway.recording.recorder import NullRecorder, Recorder, RecorderError
+from replay.sessions.reader import Session, open_session
 from tests.drives import drive
 from tests.recordings import STARTED_NS, expected, robot, robot_text, writer
 
@@ -310,7 +310,7 @@ def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_service_does_not_import_rerun() -> None:
-    code = "import sys, gateway.recorder; print({'rerun', 'rerun_bindings', 'pyarrow'} & set(sys.modules))"
+    code = "import sys, gateway.recording.recorder; print({'rerun', 'rerun_bindings', 'pyarrow'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

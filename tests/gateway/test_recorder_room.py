@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from gateway.record import Gap
-from gateway.recorder import Recorder
-from gateway.recorder_disk import Hold, new_session, segment_number, segment_path, segments, sessions, stored_bytes
-from gateway.recorder_writer import SessionWriter
-from replay.session import PRUNED, open_session
-from replay.verify import verify
+from gateway.recording.disk import Hold, new_session, segment_number, segment_path, segments, sessions, stored_bytes
+from gateway.recording.packets import Gap
+from gateway.recording.recorder import Recorder
+from gateway.recording.writer import SessionWriter
+from replay.compare.verify import verify
+from replay.sessions.reader import PRUNED, open_session
 from tests.drives import drive
 from tests.recordings import STARTED_NS, expected, robot, robot_text, write, write_drive, writer
 from tests.world import World
@@ -180,7 +180,7 @@ def test_a_spoilt_number_counts_as_none(tmp_path: Path, content: str) -> None:
 def held_elsewhere(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that records into this folder."""
     code = (
-        "import sys; from pathlib import Path; from gateway.recorder_disk import Hold; "
+        "import sys; from pathlib import Path; from gateway.recording.disk import Hold; "
         "hold = Hold(Path(sys.argv[1])); print(hold.held, flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from gateway.recorder_shapes import CHASSIS
-from gateway.recorder_writer import SessionWriter
+from gateway.recording.shapes import CHASSIS
+from gateway.recording.writer import SessionWriter
 from tests.drives import drive
 from tests.recordings import PLENTY, hello, robot
 

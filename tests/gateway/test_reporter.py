@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gateway.config import parse
-from gateway.reporter import MAX_KINDS, REPEAT_NS, Reporter
+from gateway.core.reporter import MAX_KINDS, REPEAT_NS, Reporter
 from gateway.types import Event, Inputs, Mode, Refusal, RefusalCode, Reply, Request, RequestKind
 
 ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import pytest
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway import service as service_module
 from gateway.config import RobotConfig, parse
 from gateway.control.limits import stopping_time
-from gateway.estop_latch import Kept
+from gateway.edges.estop_latch import Kept
+from gateway.edges.signals import EndRequest
+from gateway.edges.systemd import Notifier
 from gateway.service import EXIT_CORE_BUG, EXIT_LINK_LOST, Service
-from gateway.signals import EndRequest
-from gateway.systemd import Notifier
 from gateway.types import (
     ZERO_TWIST,
     BusEvent,

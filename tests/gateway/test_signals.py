@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gateway.signals import ENDING, IGNORED, LEFT, EndRequest
+from gateway.edges.signals import ENDING, IGNORED, LEFT, EndRequest
 
 CAUGHT = [*ENDING, *IGNORED]
 

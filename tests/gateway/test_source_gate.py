@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.source_gate import DRIFT_PPM, SourceGate
+from gateway.edges.source_gate import DRIFT_PPM, SourceGate
 from gateway.types import ZERO_TWIST, Refusal, RefusalCode, TwistCommand, TwistFrame
 
 MS = 1_000_000

@@ -1,6 +1,6 @@
 """Rest: what is measured must stand for a while; only where nothing is measured does time count instead."""
 
-from gateway.standstill import REST_DWELL_NS, REST_TIMEOUT_NS, ROLL_NS, Standstill
+from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS, ROLL_NS, Standstill
 
 START_NS = 7_000_000_000
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.supervisor import TRANSITIONS, Situation, next_mode
+from gateway.core.supervisor import TRANSITIONS, Situation, next_mode
 from gateway.types import Mode
 
 situations = st.builds(Situation, **{name: st.booleans() for name in Situation._fields})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.systemd import MOTORS_LIMIT_NS, STATUS_LINE_NS, Notifier, Readiness
+from gateway.edges.systemd import MOTORS_LIMIT_NS, STATUS_LINE_NS, Notifier, Readiness
 from gateway.types import BusEvent, BusEventKind, Mode, MotorStatus, Pose, Status
 
 MOTOR = MotorStatus("left", "idle", None, None, None, None, None, None, None)

@@ -21,8 +21,8 @@ from zenoh.handlers import Callback
 
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
-from gateway.mailbox import MAX_QUESTIONS
-from gateway.messages import (
+from gateway.edges.mailbox import MAX_QUESTIONS
+from gateway.edges.messages import (
     EventMessage,
     OdometryMessage,
     ResetAnswer,
@@ -32,6 +32,9 @@ from gateway.messages import (
     encode_event,
     encode_twist,
 )
+from gateway.edges.zenoh_link import NOT_EXACT, ZenohLink
+from gateway.edges.zenoh_questions import NO_ANSWER, TOO_MANY
+from gateway.edges.zenoh_session import LinkError, Receivers, open_session
 from gateway.types import (
     Event,
     Level,
@@ -47,9 +50,6 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
-from gateway.zenoh_link import NOT_EXACT, ZenohLink
-from gateway.zenoh_questions import NO_ANSWER, TOO_MANY
-from gateway.zenoh_session import LinkError, Receivers, open_session
 from tests.gateway.test_messages import STATUS
 
 ROBOT_FILE = Path(__file__).parents[2] / "deploy" / "robots" / "moby.toml"  # sources teleop and autonomy

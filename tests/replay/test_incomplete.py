@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from gateway.cli.app import build
-from gateway.record import Gap, Record
-from gateway.recorder_disk import segment_path
+from gateway.recording.disk import segment_path
+from gateway.recording.packets import Gap, Record
 from gateway.types import ZERO_TWIST, CycleTiming, Outputs, Twist
-from replay.session import SessionError, open_session
-from replay.verify import Verdict, not_replayable, verify
+from replay.compare.verify import Verdict, not_replayable, verify
+from replay.sessions.reader import SessionError, open_session
 from tests.recordings import world_writer, write, write_drive
 from tests.replay.test_session import message_ends
 from tests.world import World
@@ -235,7 +235,7 @@ def test_a_core_that_breaks_on_a_recorded_cycle_answers_differently(
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("gateway.engine.Engine.step", broken)
+    monkeypatch.setattr("gateway.core.engine.Engine.step", broken)
     verdict = judged(recorded)
     assert (verdict.exit_code, verdict.complete, verdict.cycles) == (1, True, 1)
 

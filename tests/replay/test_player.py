@@ -7,10 +7,10 @@ from threading import Event, Thread
 import can
 import pytest
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.types import ZERO_TWIST, Twist
-from replay.player import Direction, Due, is_alive, play, recorded, recorded_buses
-from replay.session import Session, open_session
+from replay.drive.player import Direction, Due, is_alive, play, recorded, recorded_buses
+from replay.sessions.reader import Session, open_session
 from tests.recordings import write_drive
 from tests.world import World
 

@@ -6,9 +6,9 @@ import pytest
 
 from gateway.config import load, parse
 from gateway.types import ZERO_TWIST, Mode, Twist
-from replay.comparison import Comparison, Moment, compare, moments
-from replay.redrive import RedriveError, as_toml, redrive
-from replay.session import Session, open_session
+from replay.compare.likeness import Comparison, Moment, compare, moments
+from replay.drive.redrive import RedriveError, as_toml, redrive
+from replay.sessions.reader import Session, open_session
 from tests.recordings import write_drive
 from tests.world import NAMES, ROBOTS, World
 

@@ -14,14 +14,14 @@ import pytest
 
 from gateway.config import ConfigError, load, parse_as
 from gateway.types import Mode, RequestKind
+from replay.compare.verify import verify
 from replay.drive.closed_loop import FIRST_NS
 from replay.drive.moment import Moment
 from replay.drive.recording import SessionRecording
 from replay.drive.scenario import RESTART_S, Result, run_scenario
 from replay.drive.scenario_file import Scenario, check_names, load_scenario
 from replay.drive.trace import TraceWriter, columns
-from replay.session import open_session
-from replay.verify import verify
+from replay.sessions.reader import open_session
 from tests.world import NAMES, ROBOTS
 
 ZERO = {"source": "teleop", "vx": 0.0, "vy": 0.0, "wz": 0.0}

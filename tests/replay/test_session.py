@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
-from drivers.interface import CanFrame
-from gateway.record import Gap, Record
-from gateway.recorder_columns import arrays
-from gateway.session_schema import APPLICATION_ID, HEADER_ARCHETYPE, HEADER_COLUMNS, HEADER_PATH, SCHEMA_VERSION
+from drivers.contract import CanFrame
+from gateway.recording.columns import arrays
+from gateway.recording.packets import Gap, Record
+from gateway.recording.schema import APPLICATION_ID, HEADER_ARCHETYPE, HEADER_COLUMNS, HEADER_PATH, SCHEMA_VERSION
 from gateway.types import (
     ZERO_TWIST,
     BusEvent,
@@ -44,8 +44,8 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
-from replay.repair import repair
-from replay.session import SessionError, open_session
+from replay.sessions.framing import repair
+from replay.sessions.reader import SessionError, open_session
 from tests.drives import drive
 from tests.recordings import STARTED_NS, expected, robot_text, write, writer
 

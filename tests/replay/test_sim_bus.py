@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.config import load
 from gateway.types import BusEvent, BusEventKind
+from replay.sim.attached_bus import HOST_QUEUE
 from replay.sim.bus import SimulatedBus
-from replay.sim.dji import SimulatedDji
-from replay.sim.odrive import SimulatedODrive
-from replay.sim.segment import HOST_QUEUE
+from replay.sim.controllers.dji import SimulatedDji
+from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.wire import Stuffing
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"

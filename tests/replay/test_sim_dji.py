@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.interface import CanFrame
-from replay.sim.device import STEP_NS, MotorSetup, Shaft
-from replay.sim.dji import SimulatedDji
+from drivers.contract import CanFrame
+from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft
+from replay.sim.controllers.dji import SimulatedDji
 
 SETUP = MotorSetup(
     name="motor",

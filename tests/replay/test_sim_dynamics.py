@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gateway.config import OffsetDifferentialRobot, OmniRobot, RobotConfig, load
 from gateway.types import Twist
-from replay.sim.device import STEP_S
-from replay.sim.dynamics import CHASSIS, Dynamics, Vector
+from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants.rigid_body import CHASSIS, Dynamics, Vector
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 NAMES = ("omni4", "moby")

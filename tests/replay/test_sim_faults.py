@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.types import BusEventKind
 from replay.drive.faults import RULES, FaultKind, Target
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
-from replay.sim.dynamics import GRAVITY
+from replay.sim.plants.rigid_body import GRAVITY
 
 AT = 2.5  # s; the robot drives by then
 DRIVEN: tuple[dict[str, Any], ...] = (

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from replay.sim.device import STEP_S
-from replay.sim.dynamics import CHASSIS, GRAVITY, Dynamics, Vector
+from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants.rigid_body import CHASSIS, GRAVITY, Dynamics, Vector
 from tests.replay.test_sim_dynamics import NAMES, config, dynamics
 
 WHEELS = {"omni4": (0, 1, 2, 3), "moby": (0, 1)}

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.config import WatchdogConfig
-from replay.sim.device import STEP_NS, STEP_S, MotorSetup, Shaft
-from replay.sim.odrive import SimulatedODrive
-from replay.sim.odrive_tables import AxisState
+from replay.sim.controllers.contract import STEP_NS, STEP_S, MotorSetup, Shaft
+from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.controllers.odrive_tables import AxisState
 
 MILLISECOND = 1_000_000
 INERTIA = 4e-4

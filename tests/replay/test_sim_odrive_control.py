@@ -5,7 +5,7 @@ from struct import pack
 
 import pytest
 
-from replay.sim.odrive_tables import AxisState
+from replay.sim.controllers.odrive_tables import AxisState
 from tests.replay.test_sim_odrive import Bench
 
 

@@ -5,8 +5,8 @@ from struct import pack, unpack
 
 import pytest
 
-from replay.sim.device import Shaft
-from replay.sim.odrive_tables import AxisState
+from replay.sim.controllers.contract import Shaft
+from replay.sim.controllers.odrive_tables import AxisState
 from tests.replay.test_sim_odrive import ENABLE, TIMEOUT, WATCHDOG, Bench
 
 # -- parameters and watchdog ------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from struct import pack, unpack
 
 import pytest
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
 from tests.replay.test_sim_bus import MILLISECOND, MOBY, OMNI, START, drive, odrive, stamps

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from drivers.interface import CanFrame
-from replay.sim.device import Emission
+from drivers.contract import CanFrame
+from replay.sim.controllers.contract import Emission
 from replay.sim.wire import Arrival, Sender, Stuffing, Wire, frame_bits
 
 MILLISECOND = 1_000_000

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.client import Client
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
 from tests.vm.launcher import CHECKOUT
 from tests.vm.vcan_robot import Condition, in_mode, shell

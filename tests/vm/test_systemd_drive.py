@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gateway.types import Mode
-from replay.session import open_session
-from replay.verify import verify
+from replay.compare.verify import verify
+from replay.sessions.reader import open_session
 from tests.vm.installed_robot import (
     ORDINARY,
     UNIT,

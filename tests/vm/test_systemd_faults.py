@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gateway.types import Mode
-from replay.session import open_session
+from replay.sessions.reader import open_session
 from tests.vm.installed_robot import (
     CONFIG,
     DEVICE_WATCHDOG_S,

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from drivers.interface import CanFrame
+from drivers.contract import CanFrame
 from gateway.config import parse
-from gateway.robot import build
+from gateway.core.assembly import build
 from gateway.types import Mode
-from replay.session import Session
-from replay.verify import verify
+from replay.compare.verify import verify
+from replay.sessions.reader import Session
 from tests.drivers.test_dbc import DATABASES, DJI_DATABASE, numbers
 from tests.vm.vcan_robot import Heard, VcanRobot, candump, fresh_vcan0, heard, sent, standing
 from tests.world import NAMES

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import pytest
 
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
-from replay.verify import verify
+from replay.compare.verify import verify
 from tests.vm.test_vcan_drive import read_odrive
 from tests.vm.vcan_robot import GO, ZERO, VcanRobot, at_speed, candump, drivegate, fresh_vcan0, heard, in_mode, shell
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.messages import StateMessage
+from gateway.edges.messages import StateMessage
 from gateway.types import Mode
-from replay.session import open_session
-from replay.verify import verify
+from replay.compare.verify import verify
+from replay.sessions.reader import open_session
 from tests.unread import UNREAD, Unread
 from tests.vm.vcan_robot import GO, ZERO, Condition, VcanRobot, candump, end, fresh_vcan0, heard, in_mode, standing
 from tests.world import NAMES

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gateway.types import Mode
-from replay.verify import verify
+from replay.compare.verify import verify
 from tests.vm.vcan_robot import GO, VcanRobot, candump, heard, in_mode, sent, shell
 
 pytestmark = pytest.mark.vcan

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from replay.session import open_session
+from replay.sessions.reader import open_session
 from tests.vm.vcan_robot import GO, ZERO, VcanRobot, candump, fresh_vcan0, heard, sent, standing
 
 pytestmark = pytest.mark.vcan

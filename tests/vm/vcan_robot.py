@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from gateway.client import Client
-from gateway.messages import StateMessage, TruthMessage
+from gateway.edges.messages import StateMessage, TruthMessage
 from gateway.types import Mode
-from replay.session import Session, open_session
+from replay.sessions.reader import Session, open_session
 from tests.world import ROBOTS
 
 START_S = 60.0

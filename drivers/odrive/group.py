@@ -1,0 +1,206 @@
+"""ODrive controllers over CANSimple: velocity, torque, brake (velocity 0 in closed loop) and coast (axis IDLE).
+
+Firmware 0.5 and 0.6, 11-bit ids. The messages are in odrive_tables, the firmware lines in odrive_firmware, one axis
+in odrive_axis and its bring-up in odrive_bringup; here is the group of axes on one bus.
+"""
+
+from collections.abc import Callable, Sequence
+from math import isnan
+from typing import Any, ClassVar
+
+from drivers.checks import check_specs
+from drivers.contract import (
+    CanFrame,
+    Capabilities,
+    CommandKind,
+    DecodedFrame,
+    IdUse,
+    MotorCommand,
+    MotorFeedback,
+    MotorSpec,
+    MotorState,
+    ReceiveFilter,
+    Traffic,
+)
+from drivers.odrive import tables
+from drivers.odrive.axis import Axis, Step
+from drivers.odrive.bringup import advance
+from drivers.odrive.firmware import FIRMWARES
+from drivers.odrive.tables import AxisState, Control
+
+NODES = range(63)  # 0x3F is the address of controllers that have none yet
+NODE_MASK = 0x7FF & ~tables.COMMAND_MASK
+HEARTBEAT_RATE_HZ = 10.0  # firmware default
+
+CONTROLS: dict[CommandKind, Control | None] = {
+    CommandKind.COAST: None,
+    CommandKind.BRAKE: Control.VELOCITY,
+    CommandKind.VELOCITY: Control.VELOCITY,
+    CommandKind.TORQUE: Control.TORQUE,
+}
+
+_ACTIVE = Step.ACTIVE
+_Route = tuple[Callable[[bytes], tuple[Any, ...]], int, int, Callable[[tuple[Any, ...], int], None]]
+
+
+class OdriveDriver:
+    """The ODrive axes of one bus."""
+
+    __slots__ = ("_axes", "_bus", "_by_node", "_capabilities", "_routes")
+
+    variants: ClassVar[tuple[str, ...]] = tuple(FIRMWARES)
+
+    def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
+        check_specs(motors, driver="odrive", variants=self.variants, ids=NODES)
+        for motor in motors:
+            _check_watchdog(motor)
+        self._bus = bus
+        self._axes = tuple(Axis(bus, motor) for motor in motors)
+        self._by_node = {axis.spec.id: axis for axis in self._axes}
+        self._routes: dict[int, _Route] = {
+            identifier: (message.layout.unpack, message.needed, message.layout.size, take)
+            for axis in self._axes
+            for identifier, (message, take) in axis.receivers().items()
+        }
+        verifiable = all(axis.firmware.tells_version for axis in self._axes)
+        self._capabilities = Capabilities(
+            velocity=True, torque=True, voltage=False, brake=True, device_watchdog=verifiable
+        )
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Velocity, torque and brake; a watchdog only where it can be read back."""
+        return self._capabilities
+
+    def receive(self, frame: CanFrame) -> bool:
+        """Take one received frame; True when it was ours."""
+        _, identifier, data, extended, remote, received_ns = frame
+        route = self._routes.get(identifier)
+        if route is None or received_ns is None or extended or remote or frame.bus != self._bus:
+            return False
+        unpack, needed, size, take = route
+        length = len(data)
+        if length != size:
+            if length < needed:
+                return False
+            data = data[:size].ljust(size, b"\0")
+        take(unpack(data), received_ns)
+        return True
+
+    def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
+        """Advance every axis towards its command; one setpoint per axis, and what bring-up needs."""
+        frames: list[CanFrame] = []
+        for axis, (kind, value) in zip(self._axes, commands, strict=True):
+            if kind is not axis.kind or isnan(value):
+                _accept(axis, kind, value)
+            if (
+                axis.step is _ACTIVE
+                and axis.control is axis.wanted
+                and now_ns < axis.heartbeat_until_ns
+                and now_ns < axis.measured_until_ns
+            ):
+                frames.append(axis.setpoint(kind, value))
+                continue
+            frames += advance(axis, now_ns)
+            frames.append(axis.zero_frame)
+        return frames
+
+    def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
+        """The latest measurement and state of each axis."""
+        return [_feedback(axis, now_ns) for axis in self._axes]
+
+    def clear_faults(self) -> None:
+        """Forget latched faults; Clear_Errors goes out with the next command. Arms nothing."""
+        for axis in self._axes:
+            axis.clear_fault()
+
+    def coast_frames(self) -> list[CanFrame]:
+        """Frames that release every axis, and leave no setpoint behind."""
+        frames: list[CanFrame] = []
+        for axis in self._axes:
+            frames += (axis.frame(tables.SET_AXIS_STATE, AxisState.IDLE), axis.zero_frame)
+        return frames
+
+    def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
+        """Velocity 0: an axis in velocity control brakes, in torque control it gets torque 0; IDLE ones stay so."""
+        return [axis.zero_frame for axis in self._axes]
+
+    def decode(self, frame: CanFrame) -> DecodedFrame | None:
+        """A sent or received frame in words, or None when it is not of these axes or too short."""
+        axis = self._by_node.get(frame.id >> tables.NODE_SHIFT)
+        if axis is None or frame.extended or frame.bus != self._bus:
+            return None
+        command = frame.id & tables.COMMAND_MASK
+        asked = axis.firmware.from_device.get(command)
+        if frame.remote:
+            return None if asked is None else DecodedFrame(axis.spec.name, f"{asked.name} request", ())
+        message = asked or axis.firmware.to_device.get(command)
+        if message is None:
+            return None
+        values = message.values(frame.data)
+        return None if values is None else DecodedFrame(axis.spec.name, message.name, values)
+
+    def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
+        """Setpoint, encoder estimates and heartbeat of each axis; what else is set to be cyclic is not known here."""
+        traffic: list[Traffic] = []
+        for axis in self._axes:
+            name, rate = axis.spec.name, axis.spec.feedback_rate
+            traffic += (
+                Traffic(f"{name} setpoint", extended=False, length=8, rate_hz=loop_rate_hz),
+                Traffic(f"{name} Get_Encoder_Estimates", extended=False, length=8, rate_hz=rate),
+                Traffic(f"{name} Heartbeat", extended=False, length=8, rate_hz=HEARTBEAT_RATE_HZ),
+            )
+        return tuple(traffic)
+
+    def receive_filters(self) -> tuple[ReceiveFilter, ...]:
+        """Every message of these axes, also what another host sends to them."""
+        return tuple(ReceiveFilter(node << tables.NODE_SHIFT, NODE_MASK, extended=False) for node in self._by_node)
+
+    def ids(self) -> tuple[IdUse, ...]:
+        """Every message of each node: what is not in use by us would still mean something to the controller."""
+        return tuple(
+            IdUse(f"odrive node {node} of motor {axis.spec.name}", node << tables.NODE_SHIFT, NODE_MASK, extended=False)
+            for node, axis in self._by_node.items()
+        )
+
+
+def _accept(axis: Axis, kind: CommandKind, value: float) -> None:
+    if isnan(value) or kind not in CONTROLS:
+        raise ValueError(f"motor {axis.spec.name}: {kind.value} {value}: must be a number and one of ours")
+    axis.kind = kind
+    axis.wanted = CONTROLS[kind]
+
+
+def _check_watchdog(motor: MotorSpec) -> None:
+    if motor.watchdog is not None and not FIRMWARES[motor.variant].tells_version:
+        raise ValueError(
+            f"motor {motor.name}: watchdog: firmware {motor.variant} cannot be read back over CAN; "
+            "give watchdog_waiver with the reason instead, or use variant 0.6"
+        )
+
+
+def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
+    state = _state(axis, now_ns)
+    return MotorFeedback(
+        state,
+        axis.position,
+        axis.velocity,
+        axis.torque,
+        axis.voltage,
+        axis.temperature_c,
+        axis.fault,
+        None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
+        axis.missing(now_ns) if state is MotorState.SILENT else None,
+    )
+
+
+def _state(axis: Axis, now_ns: int) -> MotorState:
+    if now_ns >= axis.heartbeat_until_ns or now_ns >= axis.measured_until_ns:
+        return MotorState.SILENT
+    if axis.fault is not None:
+        return MotorState.FAULT
+    if axis.step is Step.ACTIVE:
+        return MotorState.OPERATIONAL
+    if axis.step is Step.READY and axis.control is None and axis.axis_state == AxisState.IDLE:
+        return MotorState.IDLE
+    return MotorState.STARTING

@@ -1,0 +1,208 @@
+"""What follows from a robot file, without touching any bus: geometry, top speeds, stopping, torque, bus load."""
+
+from itertools import product
+from math import log, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.contract import Traffic
+from gateway.config import ConfigError, OffsetDifferentialRobot, RobotConfig
+from gateway.control.limits import stopping_distance, stopping_time, turning_excess
+from gateway.core.assembly import Robot, build
+from gateway.types import Twist
+
+LOAD_WARNING = 0.70
+LOAD_REFUSAL = 0.95
+STOPPING_REFUSAL_S = 5.0  # a robot that needs longer from top speed is not under control; source: ours
+COMPENSATION_GAIN = 2.0  # k of the pull-region compensation: mirror-image decay (preprints202312.1327, Eq. 23)
+_UNIT = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
+_HEADINGS = 72  # joint angles at which the top speed of a steered chassis is looked for
+
+
+class BusLoad(NamedTuple):
+    """Worst-case share of the bus time that cyclic frames take."""
+
+    bus: str
+    bitrate: int
+    load: float
+    frames_per_second: float
+
+
+class Report(NamedTuple):
+    """Everything `drivegate check` prints."""
+
+    robot: str
+    kind: str
+    motors: int
+    rank: int
+    condition: float
+    rate_hz: float
+    top_speeds: Twist  # what the motors allow for each axis alone, at the worst joint angle
+    reachable: Twist  # the smaller of that and the configured limit
+    stopping_time_s: float  # from top speed to rest, at most
+    stopping_distance_m: float
+    turning_share: float  # of all top speeds at once that can be driven: the rest would turn too fast for its speed
+    torque_share: float  # of its torque that the most strained motor gives at the acceleration limits, all axes at once
+    buses: tuple[BusLoad, ...]
+    compensation_period_limit_s: float | None  # longest loop period at which compensation is stable at top speed
+    warnings: tuple[str, ...]
+
+
+def frame_bits(length: int, *, extended: bool) -> int:
+    """Longest frame on the wire, interframe space included (Davis et al. 2007: 55 + 10 n, or 80 + 10 n)."""
+    return (80 if extended else 55) + 10 * length
+
+
+def examine(config: RobotConfig, origin: str) -> Report:
+    """The report. Raises ConfigError for a robot that cannot be driven or a bus beyond LOAD_REFUSAL."""
+    robot = build(config, origin)
+    matrix = robot.kinematics.matrix()
+    top = _top_speeds(robot)
+    limit = config.limits.velocity.as_twist()
+    buses = tuple(_bus_load(config, robot, bus.name, bus.bitrate) for bus in config.bus)
+    overloaded = [
+        f"bus {bus.bus}: load {bus.load:.0%} at {config.loop.rate:g} Hz; allowed up to {LOAD_REFUSAL:.0%}"
+        for bus in buses
+        if bus.load > LOAD_REFUSAL
+    ]
+    stopping = config.limits.as_stopping()
+    stop_s, stop_m = stopping_time(**stopping), stopping_distance(**stopping)
+    if stop_s > STOPPING_REFUSAL_S:
+        overloaded.append(
+            f"limits: a stop from top speed takes {stop_s:.1f} s and {stop_m:.1f} m; allowed up to "
+            f"{STOPPING_REFUSAL_S:g} s: raise limits.acceleration or limits.jerk, or lower limits.velocity, "
+            f"most of all those of {_slowest(config)}"
+        )
+    if overloaded:
+        raise ConfigError(origin, overloaded)
+    strained, torque_share = _torque_share(config, robot)
+    period_limit = _compensation_limit(config, limit)
+    return Report(
+        robot=config.robot.name,
+        kind=config.robot.kind,
+        motors=len(robot.names),
+        rank=int(np.linalg.matrix_rank(matrix)),
+        condition=float(np.linalg.cond(matrix)),
+        rate_hz=config.loop.rate,
+        top_speeds=top,
+        reachable=Twist(*(min(axis) for axis in zip(top, limit, strict=True))),
+        stopping_time_s=stop_s,
+        stopping_distance_m=stop_m,
+        turning_share=1.0 / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_twist()))),
+        torque_share=torque_share,
+        buses=buses,
+        compensation_period_limit_s=period_limit,
+        warnings=tuple(
+            _warnings(
+                config=config,
+                buses=buses,
+                top=top,
+                limit=limit,
+                period_limit=period_limit,
+                strain=(strained, torque_share),
+            )
+        ),
+    )
+
+
+def _top_speeds(robot: Robot) -> Twist:
+    """For each axis alone, the speed at which the first motor reaches its limit, at the worst joint angle."""
+    return Twist(*(min(_top_speed(robot, axis, turn) for turn in _turns(robot)) for axis in _UNIT))
+
+
+def _top_speed(robot: Robot, axis: Twist, turn: float) -> float:
+    speeds = _wheel_speeds(robot, axis, turn)
+    return min(
+        limits.speed / abs(speed) for speed, limits in zip(speeds, robot.limits, strict=True) if abs(speed) > 1e-9
+    )
+
+
+def _turns(robot: Robot) -> list[float]:
+    """The joint angles to look at, rad."""
+    return [2.0 * pi * step / _HEADINGS for step in range(_HEADINGS)] if robot.kinematics.steered else [0.0]
+
+
+def _wheel_speeds(robot: Robot, twist: Twist, turn: float) -> list[float]:
+    """Rad/s of every motor with the steered joints at this angle."""
+    positions: list[float | None] = [turn if i in robot.kinematics.steered else 0.0 for i in range(len(robot.names))]
+    return robot.kinematics.wheel_speeds(twist, positions) or []
+
+
+def _slowest(config: RobotConfig) -> str:
+    """The axis that takes longest to stop."""
+    limits = config.limits
+    axes = zip(limits.velocity.as_twist(), limits.acceleration.as_twist(), limits.jerk.as_twist(), strict=True)
+    times = [velocity / acceleration + acceleration / jerk for velocity, acceleration, jerk in axes]
+    return Twist._fields[times.index(max(times))]
+
+
+def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
+    """The motor that the acceleration limits strain most, all axes at once, and the share of its torque.
+
+    Power is the same at the wheels and at the body, so the torques are those of least norm with rows' torque = force;
+    dry friction and that of half top speed come on top. The inertia of a chassis below its joint is left out.
+    """
+    body, limits = config.robot.body, config.limits.acceleration.as_twist()
+    forces = [
+        (x * body.mass * limits.vx, y * body.mass * limits.vy, z * body.inertia * limits.wz)
+        for x, y, z in product((-1.0, 1.0), repeat=3)
+    ]
+    worst = ("", 0.0)
+    for turn in _turns(robot):
+        rows = np.array([_wheel_speeds(robot, axis, turn) for axis in _UNIT]).T
+        torques = np.abs(np.linalg.pinv(rows.T) @ np.array(forces).T).max(axis=1)
+        for name, torque, motor in zip(robot.names, torques.tolist(), robot.limits, strict=True):
+            share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
+            worst = max(worst, (name, share), key=lambda one: one[1])
+    return worst
+
+
+def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusLoad:
+    traffic: list[Traffic] = []
+    for group in robot.groups:
+        if group.bus == bus:
+            traffic += group.driver.traffic(loop_rate_hz=config.loop.rate)
+    bits = sum(item.rate_hz * frame_bits(item.length, extended=item.extended) for item in traffic)
+    return BusLoad(bus, bitrate, bits / bitrate, sum(item.rate_hz for item in traffic))
+
+
+def _compensation_limit(config: RobotConfig, limit: Twist) -> float | None:
+    """h < ln(1 + 2/(k - 1)) d1 / c: beyond it the sampled compensation oscillates (science 1.4, e^a < 3 for k = 2)."""
+    if not isinstance(config.robot, OffsetDifferentialRobot):
+        return None
+    speed = max(limit.vx, limit.vy)
+    return log(1.0 + 2.0 / (COMPENSATION_GAIN - 1.0)) * config.robot.axle_offset / speed
+
+
+def _warnings(
+    *,
+    config: RobotConfig,
+    buses: tuple[BusLoad, ...],
+    top: Twist,
+    limit: Twist,
+    period_limit: float | None,
+    strain: tuple[str, float],
+) -> list[str]:
+    found = [
+        f"bus {bus.bus}: load {bus.load:.0%}; stay below {LOAD_WARNING:.0%}" for bus in buses if bus.load > LOAD_WARNING
+    ]
+    found += [
+        f"limits.velocity.{name} = {wanted:g} is beyond the motors: {possible:.3g} at the worst joint angle"
+        for name, wanted, possible in zip(Twist._fields, limit, top, strict=True)
+        if wanted > possible
+    ]
+    name, share = strain
+    if share > 1.0:
+        found.append(
+            f"limits.acceleration, all axes at once, asks {share:.0%} of the torque of motor {name}: "
+            "such twists are held back as far as the motors follow"
+        )
+    if period_limit is not None and 1.0 / config.loop.rate > period_limit:
+        found.append(f"loop.rate = {config.loop.rate:g} Hz is too slow for compensation: {1 / period_limit:.1f} Hz")
+    found += [
+        f"motor {motor.name}: no watchdog in the controller: {motor.watchdog_waiver}"
+        for motor in config.motor
+        if motor.watchdog_waiver is not None
+    ]
+    return found

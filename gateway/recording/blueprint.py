@@ -1,0 +1,83 @@
+"""The layout with which the viewer opens a session."""
+
+import rerun.blueprint as rrb
+
+from gateway.recording.schema import CYCLE, WALL
+from gateway.recording.shapes import BODY, PATH, WORLD
+from gateway.recording.views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL, TWIST_MEASURED, TWIST_TARGET
+
+PATH_SECONDS = 120.0
+_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
+_EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["loglevel", "body"])
+
+
+def blueprint(*, eye_height: float) -> rrb.Blueprint:
+    """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                _from_above(eye_height),
+                rrb.Vertical(
+                    rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]", plot_legend=_LEGEND),
+                    rrb.Tabs(
+                        rrb.TimeSeriesView(
+                            origin="/trace/twist",
+                            contents=[TWIST_TARGET, TWIST_MEASURED],
+                            name="Body velocity [m/s, rad/s]",
+                            plot_legend=_LEGEND,
+                        ),
+                        rrb.TimeSeriesView(origin=POSE, name="Pose"),
+                        rrb.TimeSeriesView(origin=RESIDUAL, name="Slip residual"),
+                        active_tab=0,
+                    ),
+                    rrb.Tabs(
+                        rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]", plot_legend=_LEGEND),
+                        rrb.TimeSeriesView(origin=COMMAND_AGE, name="Command age"),
+                        active_tab=0,
+                    ),
+                    row_shares=[3, 3, 2],
+                ),
+                column_shares=[2, 3],
+            ),
+            rrb.Horizontal(
+                rrb.StateTimelineView(origin=MODE, name="Mode"),
+                rrb.Tabs(
+                    rrb.TextLogView(origin=EVENTS, name="Events", columns=_EVENT_COLUMNS),
+                    rrb.DataframeView(origin="/inputs/can", name="CAN in"),
+                    rrb.DataframeView(origin="/outputs/can", name="CAN out"),
+                    rrb.TextDocumentView(origin="/config", name="Robot file"),
+                    active_tab=0,
+                ),
+                column_shares=[3, 2],
+            ),
+            row_shares=[4, 1],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=WALL),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _from_above(eye_height: float) -> rrb.Spatial3DView:
+    """Forward is up and left is left, as in the robot's own axes at the start; the eye goes with the robot.
+
+    The viewer follows only what has something to draw, hence the body and not the frame it belongs to.
+    """
+    trail = rrb.VisibleTimeRanges(
+        timeline=WALL,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return rrb.Spatial3DView(
+        origin=WORLD,
+        name="From above; velocity wanted (orange) and measured (blue)",
+        overrides={PATH: trail},
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0xFFFFFF28),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(0.0, 0.0, eye_height),
+            look_target=(0.0, 0.0, 0.0),
+            eye_up=(1.0, 0.0, 0.0),
+            tracking_entity=BODY,
+        ),
+    )

@@ -1,0 +1,144 @@
+"""One recorder process as its parent holds it: the process, our end of the socket pair, what went in and came back."""
+
+import contextlib
+import errno
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from gateway.edges.signals import ENDING
+from gateway.recording.packets import PACKET_LIMIT, Hello, Report, decode_report, encode
+
+SOCKET_BYTES = 1 << 20  # asked for; the kernel caps it at net.core.wmem_max
+REPORT_BYTES = 65536
+
+
+class TooLongError(ValueError):
+    """A packet that no socket buffer takes."""
+
+    def __init__(self, length: int) -> None:
+        super().__init__(f"{length} bytes are too long for one packet")
+
+
+class RecorderChild:
+    """Started on construction. Raises OSError."""
+
+    def __init__(self, hello: Hello) -> None:
+        self.report: Report | None = None
+        self.sent = 0  # cycles handed over
+        self.first_cycle: int | None = None
+        self.last_cycle: int | None = None
+        self.ended = False  # its end of the pair is closed
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
+        with theirs:
+            self._process = _spawn(theirs.fileno())
+        self._socket.setblocking(False)
+        self._socket.send(encode(hello))
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def running(self) -> bool:
+        """Whether the process lives; collects its exit code if not."""
+        return self._process.poll() is None
+
+    def send(self, cycle: int | None, packet: bytes) -> bool:
+        """Hand over a packet (cycle None: not a cycle); False if there is no room now. Raises TooLongError."""
+        if len(packet) > PACKET_LIMIT:
+            raise TooLongError(len(packet))
+        try:
+            self._socket.send(packet)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            if error.errno == errno.EMSGSIZE:
+                raise TooLongError(len(packet)) from None
+            return False  # it has died; `running` will say so
+        if cycle is not None:
+            self.sent += 1
+            self.last_cycle = cycle
+            if self.first_cycle is None:
+                self.first_cycle = cycle
+        return True
+
+    def receive(self) -> None:
+        """Take in the reports that have come; the newest one counts."""
+        while not self.ended:
+            try:
+                packet = self._socket.recv(REPORT_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if packet:
+                self.report = decode_report(packet)
+            else:
+                self.ended = True
+
+    def wait_writable(self, timeout: float) -> bool:
+        """Wait for room; False when the time is up or the process has gone."""
+        return self._wait(select.POLLOUT, timeout)
+
+    def wait_readable(self, timeout: float) -> bool:
+        """Wait for a report; False when the time is up. The end of the process also counts as readable."""
+        return self._wait(select.POLLIN, timeout)
+
+    def finish(self, deadline: float) -> None:
+        """Send end of file and take in reports until the process closes its end or time.monotonic() passes."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+        while not self.ended and self.wait_readable(deadline - time.monotonic()):
+            self.receive()
+
+    def exit_code(self, deadline: float) -> int | None:
+        """Exit code, waited for until time.monotonic() passes; None if it still runs. Closes our end."""
+        self._socket.close()
+        try:
+            return self._process.wait(max(deadline - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            return None
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.wait()
+        self._socket.close()
+
+    def _wait(self, event: int, timeout: float) -> bool:
+        poll = select.poll()
+        poll.register(self._socket, event)
+        ready = poll.poll(max(timeout, 0.0) * 1000.0)
+        for _, happened in ready:
+            if happened & select.POLLHUP:
+                return event == select.POLLIN
+            return bool(happened & event)
+        return False
+
+
+def _spawn(descriptor: int) -> subprocess.Popen[bytes]:
+    """A fresh interpreter (never a fork: Rerun does not survive it) that inherits one descriptor and no signals.
+
+    The ending signals are blocked around the start, because a blocked signal stays blocked across exec: ^C in a
+    terminal and systemd's SIGTERM reach the whole group, and the recorder must outlive the service.
+    """
+    root = str(Path(__file__).parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "gateway.recording.process", str(descriptor)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+            pass_fds=(descriptor,),
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,152 @@
+"""The recorder's own process: reads packets from the service, writes batches to the session, reports back.
+
+How this works
+--------------
+The service keeps one end of a socket pair and gives the other to this process. It sleeps a little and takes what has
+come, so that a sending service never has to wake anybody. End of file (the service closed, or died in any way) means:
+write what is left, close the footer, go; the session counts as ended only if the service said so before. The signals
+that end the service are blocked here from birth.
+"""
+
+import contextlib
+import logging
+import os
+import socket
+import sys
+import time
+
+from gateway.config import RobotConfig
+from gateway.recording.packets import (
+    PACKET_LIMIT,
+    End,
+    Gap,
+    Hello,
+    Packet,
+    Record,
+    Report,
+    decode_hello,
+    decode_packet,
+    encode,
+)
+from gateway.recording.segment import RecordingOffError, WriterDeadError
+from gateway.recording.writer import SessionWriter
+
+logger = logging.getLogger(__name__)
+
+BATCH_NS = 1_000_000_000
+BATCH_RECORDS = 1000
+DRAIN_PERIOD_S = 0.02
+EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
+EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
+
+
+class Inbox:
+    """The recorder's end of the pair."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._socket = socket.socket(fileno=descriptor)
+        self._buffer = bytearray(PACKET_LIMIT)
+        self._view = memoryview(self._buffer)
+        self.ended = False
+
+    def hello(self) -> Hello | None:
+        """The first packet; None if the service is gone already."""
+        length = self._socket.recv_into(self._buffer)
+        return decode_hello(self._view[:length]) if length else None
+
+    def take(self, limit: int) -> list[Packet]:
+        """What has come so far, without waiting."""
+        packets: list[Packet] = []
+        while len(packets) < limit:
+            try:
+                length = self._socket.recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:  # told once, if the service died with reports unread; its packets still come
+                continue
+            if not length:
+                self.ended = True
+                break
+            packets.append(decode_packet(self._view[:length]))
+        return packets
+
+    def send(self, report: Report) -> None:
+        """Tell the service if it is there to listen; it needs only the newest report."""
+        try:
+            self._socket.send(encode(report), socket.MSG_DONTWAIT)
+        except OSError:
+            return
+
+
+def record(inbox: Inbox, writer: SessionWriter) -> None:
+    """Until end of file. Raises WriterDeadError, RecordingOffError."""
+    writer.open()
+    inbox.send(writer.report())
+    records: list[Record] = []
+    gaps: list[Gap] = []
+    due_ns = 0
+    ended = False
+    while not inbox.ended:
+        for packet in inbox.take(BATCH_RECORDS - len(records)):
+            if isinstance(packet, End):
+                ended = True
+                continue
+            if isinstance(packet, Gap):
+                gaps.append(packet)
+                continue
+            if not records:
+                due_ns = time.monotonic_ns() + BATCH_NS
+            records.append(packet)
+        full = len(records) >= BATCH_RECORDS
+        if records and (full or inbox.ended or time.monotonic_ns() >= due_ns):
+            writer.write(records, gaps)
+            inbox.send(writer.report())
+            records, gaps = [], []
+        if not full and not inbox.ended:
+            time.sleep(DRAIN_PERIOD_S)
+    if gaps:
+        writer.write((), gaps)
+    writer.close(ended=ended)
+    inbox.send(writer.report())
+
+
+def main(descriptor: int) -> int:
+    """Exit code: 0 when the session is complete."""
+    logging.basicConfig(level=logging.INFO, format="recorder: %(message)s")
+    _step_back()
+    inbox = Inbox(descriptor)
+    hello = inbox.hello()
+    if hello is None:
+        return 0
+    try:
+        writer = SessionWriter(RobotConfig.model_validate_json(hello.config_json), hello)
+    except OSError as error:
+        return _refuse(inbox, str(error))
+    try:
+        record(inbox, writer)
+    except RecordingOffError as error:
+        return _refuse(inbox, str(error))
+    except WriterDeadError as error:
+        inbox.send(writer.report()._replace(error=f"the writing thread ended: {error}"))
+        logger.warning("the writing thread ended: %s", error)
+        return EXIT_WRITER_DEAD
+    return 0
+
+
+def _refuse(inbox: Inbox, text: str) -> int:
+    inbox.send(Report(folder="", segment=0, records=0, settled_cycle=None, lost=0, error=text, closed=True))
+    logger.warning("%s", text)
+    return EXIT_REFUSED
+
+
+def _step_back() -> None:
+    """Ordinary, patient scheduling, whatever the service runs under: a disk can wait, motors cannot."""
+    with contextlib.suppress(OSError):  # a sandbox may forbid it
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+if __name__ == "__main__":
+    code = main(int(sys.argv[1]))
+    logging.shutdown()
+    # Not sys.exit: after a dead writing thread the interpreter's orderly end waits for it, for ever.
+    os._exit(code)

@@ -1,0 +1,275 @@
+"""The service's side of the recording: hands every cycle to the recorder process and never waits for it.
+
+How this works
+--------------
+One packet per cycle goes into a socket pair. When the pair is full the packet waits in a bounded backlog; when that
+is full too the cycle is lost, counted, and the next cycle that goes through is preceded by a marker of the gap.
+The process reports back on the same pair. If it dies, driving goes on: `poll` starts another one, which goes on in
+the same session folder; what the dead one had not confirmed is marked as a gap.
+
+Neither this module nor anything it imports knows Rerun, which would cost the service memory and start-up time.
+"""
+
+import logging
+import time
+from collections import deque
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from typing import NamedTuple
+
+from gateway.config import RobotConfig
+from gateway.recording.child import RecorderChild, TooLongError
+from gateway.recording.packets import End, Gap, Hello, Record, encode
+from gateway.types import CycleTiming, Inputs, Outputs
+
+logger = logging.getLogger(__name__)
+
+READY_TIMEOUT_S = 5.0  # a slow one is waited for no longer: it must not keep the robot from starting
+CLOSE_TIMEOUT_S = 10.0
+BACKLOG_SECONDS = 8.0  # outlasts a stalled disk and the start of a new recorder process
+BACKLOG_BYTES = 16_000_000
+BACKLOG_SENDS = 16  # of waiting packets per cycle: catching up must not make the loop late
+FIRST_BACKOFF_S = 1.0
+LONGEST_BACKOFF_S = 30.0
+
+
+class RecorderError(RuntimeError):
+    """The recorder process could not be started; the text says why."""
+
+
+class _Waiting(NamedTuple):
+    cycle: int | None  # None: a gap marker, or the end
+    packet: bytes
+
+
+class Recorder:
+    """Starts the recorder process and waits for it, but not for long. Raises RecorderError when it refuses."""
+
+    def __init__(self, config: RobotConfig, config_text: str, config_origin: str = "robot file") -> None:
+        wall_ns, mono_ns = time.clock_gettime_ns(time.CLOCK_REALTIME), time.monotonic_ns()
+        self.session: Path | None = None
+        self.error: str | None = None
+        self._hello = Hello(
+            config_json=config.model_dump_json(),
+            config_text=config_text,
+            config_origin=config_origin,
+            folder=None,
+            started_wall_ns=wall_ns,
+            wall_minus_mono_ns=wall_ns - mono_ns,
+        )
+        self._backlog: deque[_Waiting] = deque()
+        self._backlog_bytes = 0
+        self._backlog_limit = int(BACKLOG_SECONDS * config.loop.rate)
+        self._gap: Gap | None = None
+        self._dropped = 0  # apart from what the running process has lost
+        self._backoff_s = FIRST_BACKOFF_S
+        self._retry_at = 0.0
+        self._starting = False
+        self._orders: SimpleQueue[Hello | None] = SimpleQueue()
+        self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
+        self._child: RecorderChild | None = RecorderChild(self._hello)
+        self._wait_until_ready(self._child)
+        # A thread that is there already: starting one waits until it runs, and the disk with the program may hang.
+        Thread(target=self._start_others, name="recorder start", daemon=True).start()
+
+    @property
+    def dropped(self) -> int:
+        """Cycles that are not in the recording, for whatever reason, since start."""
+        return self._dropped + (self._child.report.lost if self._child is not None and self._child.report else 0)
+
+    @property
+    def alive(self) -> bool:
+        """Whether a recorder process is running."""
+        return self._child is not None and self._child.running()
+
+    def health(self) -> dict[str, object]:
+        """For the robot's status."""
+        return {
+            "session": None if self.session is None else str(self.session),
+            "alive": self.alive,
+            "dropped": self.dropped,
+            "error": self.error,
+        }
+
+    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+        """Record one cycle. Never waits, never raises."""
+        try:
+            packet = encode(Record(inputs, outputs, timing))
+        except (TypeError, ValueError, OverflowError) as error:
+            self._lose(inputs.cycle, f"not recordable: {error}")
+            return
+        if self._backlog or self._gap is not None:
+            self._send_backlog(BACKLOG_SENDS)
+            self._keep(inputs.cycle, packet)
+        elif not self._send(inputs.cycle, packet):
+            self._keep(inputs.cycle, packet)
+
+    def poll(self) -> None:
+        """Take in reports, replace a dead process, catch up. Never waits; call it a few times per second."""
+        if self._child is not None:
+            self._child.receive()
+            self._take_report(self._child)
+            if not self._child.running():
+                self._bury(self._child)
+        elif self._starting:
+            self._take_started()
+        elif time.monotonic() >= self._retry_at:
+            self._starting = True
+            self._orders.put(self._hello)
+        self._send_backlog(BACKLOG_SENDS)
+
+    def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
+        """Flush, write the footer, end the process; False if something is not on the disk by then."""
+        self._orders.put(None)
+        deadline = time.monotonic() + timeout
+        child = self._child
+        if child is None:
+            return False
+        self._append_gap()
+        self._append(_Waiting(None, encode(End())))
+        while self._backlog and child.wait_writable(deadline - time.monotonic()):
+            self._send_backlog(len(self._backlog))
+        complete = not self._backlog and self._gap is None
+        child.finish(deadline)
+        self._take_report(child)
+        ended = child.exit_code(deadline) == 0 and child.report is not None and child.report.closed
+        self._dropped, self._child = self.dropped, None
+        return complete and ended
+
+    def _wait_until_ready(self, child: RecorderChild) -> None:
+        deadline = time.monotonic() + READY_TIMEOUT_S
+        while child.report is None and not child.ended and child.wait_readable(deadline - time.monotonic()):
+            child.receive()
+        report = child.report
+        if report is None and not child.ended:
+            self.error = f"the recorder process was not ready within {READY_TIMEOUT_S:g} s"
+            logger.warning("%s: driving goes on, cycles wait for it", self.error)
+            return
+        if report is None or not report.folder:
+            child.kill()
+            raise RecorderError(report.error if report is not None and report.error else "the recorder process ended")
+        self._take_report(child)
+        logger.info("recording to %s", self.session)
+
+    def _take_report(self, child: RecorderChild) -> None:
+        report = child.report
+        if report is None or not report.folder:
+            return
+        if self.session is None:
+            self.session = Path(report.folder).absolute()
+            self._hello = self._hello._replace(folder=str(self.session))
+        if report.error != self.error:
+            if report.error is not None:
+                logger.warning("recording: %s", report.error)
+            else:
+                logger.info("recording goes on, segment %d", report.segment)
+            self.error = report.error
+        if report.records:
+            self._backoff_s = FIRST_BACKOFF_S
+
+    def _bury(self, child: RecorderChild) -> None:
+        """What the dead process had taken and not confirmed is lost."""
+        child.receive()
+        self._take_report(child)
+        confirmed = child.report.records if child.report is not None else 0
+        settled = child.report.settled_cycle if child.report is not None else None
+        reason = f"the recorder process ended (exit code {child.exit_code(0.0)})"
+        self._dropped += child.sent - confirmed + (child.report.lost if child.report is not None else 0)
+        if child.sent > confirmed and child.first_cycle is not None and child.last_cycle is not None:
+            first = child.first_cycle if settled is None else settled + 1
+            marker = _Waiting(None, encode(Gap(first, child.last_cycle, reason)))
+            self._backlog.appendleft(marker)
+            self._backlog_bytes += len(marker.packet)
+        self.error = self.error or reason
+        logger.warning("%s; next attempt in %g s", reason, self._backoff_s)
+        self._child = None
+        self._retry_at = time.monotonic() + self._backoff_s
+        self._backoff_s = min(2 * self._backoff_s, LONGEST_BACKOFF_S)
+
+    def _start_others(self) -> None:
+        while (hello := self._orders.get()) is not None:
+            try:
+                self._started.put(RecorderChild(hello))
+            except OSError as error:
+                self._started.put(error)
+
+    def _take_started(self) -> None:
+        if self._started.empty():
+            return
+        self._starting = False
+        started = self._started.get()
+        if isinstance(started, RecorderChild):
+            self._child = started
+            return
+        self._retry_at = time.monotonic() + self._backoff_s
+        self.error = f"the recorder process cannot be started: {started}"
+
+    def _keep(self, cycle: int, packet: bytes) -> None:
+        """Into the backlog; once that was full, only when half of it has gone, so that gaps are few and long."""
+        limit = self._backlog_limit if self._gap is None else self._backlog_limit // 2
+        if len(self._backlog) >= limit or self._backlog_bytes + len(packet) > BACKLOG_BYTES:
+            self._lose(cycle, "the recorder could not keep up")
+            return
+        self._append_gap()
+        self._append(_Waiting(cycle, packet))
+
+    def _append_gap(self) -> None:
+        if self._gap is not None:
+            self._append(_Waiting(None, encode(self._gap)))
+            self._gap = None
+
+    def _append(self, waiting: _Waiting) -> None:
+        self._backlog.append(waiting)
+        self._backlog_bytes += len(waiting.packet)
+
+    def _send_backlog(self, limit: int) -> None:
+        if not self._backlog:
+            self._append_gap()
+        for _ in range(min(limit, len(self._backlog))):
+            cycle, packet = self._backlog[0]
+            if not self._send(cycle, packet):
+                return
+            self._backlog.popleft()
+            self._backlog_bytes -= len(packet)
+
+    def _send(self, cycle: int | None, packet: bytes) -> bool:
+        """Whether the packet is off our hands: handed over, or lost because nothing could ever take it."""
+        if self._child is None:
+            return False
+        try:
+            return self._child.send(cycle, packet)
+        except TooLongError as error:
+            if cycle is not None:
+                self._lose(cycle, f"not recordable: {error}")
+            return True
+
+    def _lose(self, cycle: int, reason: str) -> None:
+        self._dropped += 1
+        if self._gap is None:
+            self._gap = Gap(cycle, cycle, reason)
+        else:
+            self._gap = Gap(self._gap.first_cycle, cycle, self._gap.reason)
+
+
+class NullRecorder:
+    """Stands in when the robot file says `recording.enabled = false`."""
+
+    session: Path | None = None
+    error: str | None = None
+    dropped = 0
+    alive = False
+
+    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+        """Forget it."""
+
+    def poll(self) -> None:
+        """Nothing to do."""
+
+    def health(self) -> dict[str, object]:
+        """For the robot's status."""
+        return {"session": None, "alive": False, "dropped": 0, "error": None}
+
+    def close(self, timeout: float = 0.0) -> bool:
+        """Nothing is left behind."""
+        return True

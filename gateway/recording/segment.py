@@ -1,0 +1,127 @@
+"""One segment of a session: a Rerun file with its own header, seal and footer. Nothing else writes to Rerun.
+
+Rerun's messages carry no checksum, and two of three flipped bits in them read back as other numbers (measured with
+0.41). So the last message is a seal: length and CRC of everything in front of it, read back from what was written.
+"""
+
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import rerun as rr
+import rerun.blueprint as rrb
+
+from gateway.recording.columns import Block, Times, arrays
+from gateway.recording.disk import FILE_MODE
+from gateway.recording.packets import Gap, Record
+from gateway.recording.schema import (
+    APPLICATION_ID,
+    BATCH,
+    CYCLE,
+    GAP_ARCHETYPE,
+    GAP_COLUMNS,
+    GAP_PATH,
+    HEADER_ARCHETYPE,
+    HEADER_COLUMNS,
+    HEADER_PATH,
+    SEAL_ARCHETYPE,
+    SEAL_COLUMNS,
+    SEAL_PATH,
+    Header,
+)
+from gateway.recording.views import Views
+
+FLUSH_TIMEOUT_S = 3.0
+FOOTER_BYTES = 170_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
+FOOTER_BYTES_PER_BATCH = 4000
+_PIECE = 1 << 20  # read at a time
+
+
+class WriterDeadError(RuntimeError):
+    """Rerun's writing thread has ended (disk full, read-only, broken).
+
+    Such a stream may block for ever in any further call (measured with 0.41), so whoever catches this leaves the
+    process without touching it again.
+    """
+
+
+class RecordingOffError(RuntimeError):
+    """Rerun was switched off from outside, by RERUN=off in the environment."""
+
+
+class Segment:
+    """Opened on construction, header first. Raises RecordingOffError, OSError."""
+
+    def __init__(self, path: Path, *, header: Header, views: Views, blueprint: rrb.Blueprint) -> None:
+        self.path = path
+        self._views = views
+        self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=header.session, send_properties=False)
+        if not rr.is_enabled(recording=self._recording):
+            raise RecordingOffError("Rerun is switched off (RERUN=off in the environment): nothing can be recorded")
+        try:
+            self._recording.save(path, default_blueprint=blueprint)
+        except RuntimeError as error:
+            raise OSError(str(error)) from None
+        path.chmod(FILE_MODE)
+        self._file = path.open("rb", buffering=0)
+        self._bytes = self._crc32 = 0  # of what has been written
+        self.batches = 0  # written so far
+        self._send_header(header)
+        views.begin(self._recording)
+        self.flush()
+
+    def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
+        """Write a batch, whole or, when a value does not fit its column, not at all (OverflowError, ...)."""
+        if records:
+            self._write_records(records, gaps)
+        if gaps:
+            self._send_gaps(gaps)
+        self.batches += 1
+
+    def _write_records(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
+        times = Times(records)
+        blocks = [Block(entity, records) for entity in BATCH]
+        self._views.send(self._recording, records, gaps, times)
+        for block in blocks:
+            block.send(self._recording, times)
+
+    def flush(self) -> None:
+        """Hand everything to the kernel. Raises WriterDeadError."""
+        try:
+            self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except RuntimeError as error:
+            raise WriterDeadError(str(error)) from None
+        while piece := self._file.read(_PIECE):
+            self._bytes += len(piece)
+            self._crc32 = zlib.crc32(piece, self._crc32)
+
+    def size(self) -> int | None:
+        """Bytes it would have if it were closed now; None if somebody has taken the file away."""
+        if not self.path.exists():
+            return None
+        return self._bytes + FOOTER_BYTES + FOOTER_BYTES_PER_BATCH * self.batches
+
+    def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> None:
+        """Write seal and footer. Raises WriterDeadError."""
+        self.flush()
+        columns = arrays(SEAL_COLUMNS, [(self._bytes, self._crc32, first_segment, final, last_cycle)])
+        self._recording.log(SEAL_PATH, rr.DynamicArchetype(SEAL_ARCHETYPE, components=columns), static=True)
+        self.flush()
+        self._recording.disconnect()
+        self._file.close()
+
+    def _send_header(self, header: Header) -> None:
+        row = (header.schema_version, msgspec.json.encode(header).decode())
+        self._recording.send_recording_name(header.session)
+        self._recording.send_recording_start_time_nanos(header.started_wall_ns)
+        columns = arrays(HEADER_COLUMNS, [row])
+        self._recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
+        text = f"```toml\n{header.config_text}\n```"
+        self._recording.log("/config", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+    def _send_gaps(self, gaps: Sequence[Gap]) -> None:
+        rows = [(gap.first_cycle, gap.last_cycle, gap.reason) for gap in gaps]
+        columns = rr.DynamicArchetype.columns(archetype=GAP_ARCHETYPE, components=arrays(GAP_COLUMNS, rows))
+        when = rr.TimeColumn(CYCLE, sequence=[gap.first_cycle for gap in gaps])
+        self._recording.send_columns(GAP_PATH, [when], columns)

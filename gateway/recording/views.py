@@ -1,0 +1,208 @@
+"""What people see of a session: plots, modes, events and the robot from above. Never read back, never replayed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from gateway.config import RobotConfig
+from gateway.recording.columns import Integers, Times
+from gateway.recording.packets import Gap, Record
+from gateway.recording.shapes import CHASSIS, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
+from gateway.types import Event, Level, Mode, Pose, Trace, Twist
+
+WHEELS_COMMANDED = "/trace/wheels/commanded"
+WHEELS_MEASURED = "/trace/wheels/measured"
+TWIST_TARGET = "/trace/twist/target"
+TWIST_SETPOINT = "/trace/twist/setpoint"
+TWIST_MEASURED = "/trace/twist/measured"
+POSE = "/trace/pose"
+LOOP = "/trace/loop"
+COMMAND_AGE = "/trace/command_age"
+RESIDUAL = "/trace/residual"
+MODE = "/trace/mode"
+EVENTS = "/trace/events"
+
+PICTURE_PERIOD_NS = 50_000_000
+PATH_STEP = 0.01  # m; a standing robot draws nothing
+ARROW_SECONDS = 0.8  # an arrow is as long as the way of this time
+
+MODE_COLOURS = {
+    Mode.IDLE: 0x78909CFF,
+    Mode.STARTING: 0x29B6F6FF,
+    Mode.DRIVE: 0x43A047FF,
+    Mode.DEGRADED: 0xFFB300FF,
+    Mode.STOPPING: 0x8E7CC3FF,
+    Mode.ESTOP: 0xE53935FF,
+    Mode.FAULT: 0xAD1457FF,
+}
+_LEVELS = {
+    Level.INFO: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ERROR: rr.TextLogLevel.ERROR,
+}
+_NAN3 = (np.nan,) * 3
+
+Floats = npt.NDArray[np.float64]
+
+
+class Views:
+    """Sends the pictures of each batch; keeps the few values that go on from batch to batch and segment to segment."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._names = tuple(motor.name for motor in config.motors_in_order())
+        self._joint = next((i for i, kind in enumerate(self._names) if kind == _platform(config)), None)
+        self._mode: Mode | None = None
+        self._picture = -1
+        self._joint_angle = 0.0
+        self._path_end: Pose | None = None
+
+    def begin(self, recording: rr.RecordingStream) -> None:
+        """Everything static, which Rerun keeps only in the segment it was sent to."""
+        self._mode = None
+        _lines(recording, WHEELS_COMMANDED, [f"{name} commanded" for name in self._names], wide=True)
+        _lines(recording, WHEELS_MEASURED, [f"{name} measured" for name in self._names])
+        axes = ("vx", "vy", "wz")
+        _lines(recording, TWIST_TARGET, [f"{axis} wanted" for axis in axes], wide=True)
+        _lines(recording, TWIST_SETPOINT, [f"{axis} limited" for axis in axes], wide=True)
+        _lines(recording, TWIST_MEASURED, [f"{axis} measured" for axis in axes])
+        _lines(recording, POSE, ["x [m]", "y [m]", "theta [rad]"])
+        _lines(recording, LOOP, ["late [ms]", "work [ms]"])
+        _lines(recording, COMMAND_AGE, ["age of the command [s]"])
+        _lines(recording, RESIDUAL, ["slip residual [m/s]"])
+        words = [mode.value for mode in MODE_COLOURS]
+        styles = rr.StateConfiguration(
+            values=words, labels=words, colors=np.array(list(MODE_COLOURS.values()), np.uint32)
+        )
+        recording.log(MODE, styles, static=True)
+        send_shapes(recording, self._config)
+
+    def send(self, recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times) -> None:
+        """The pictures of one batch."""
+        traces = [record.outputs.trace for record in records]
+        self._send_plots(recording, traces, times)
+        self._send_loop(recording, records, times)
+        self._send_modes(recording, records, times)
+        self._send_events(recording, records, gaps, times)
+        self._send_pictures(recording, traces, times)
+
+    def _send_plots(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
+        everywhere = times.at(np.arange(len(traces)))
+        for path, values in (
+            (WHEELS_COMMANDED, [trace.wheel_setpoints for trace in traces]),
+            (WHEELS_MEASURED, [trace.wheel_speeds for trace in traces]),
+            (TWIST_TARGET, [trace.target for trace in traces]),
+            (TWIST_SETPOINT, [trace.setpoint for trace in traces]),
+            (TWIST_MEASURED, [trace.measured or _NAN3 for trace in traces]),
+            (POSE, [trace.pose for trace in traces]),
+            (COMMAND_AGE, [(trace.winner_age_s,) for trace in traces]),
+            (RESIDUAL, [(trace.residual,) for trace in traces]),
+        ):
+            numbers = np.array(values, np.float64)  # None becomes NaN, which is a hole in the line
+            if not np.isnan(numbers).all():
+                recording.send_columns(path, everywhere, rr.Scalars.columns(scalars=numbers))
+
+    @staticmethod
+    def _send_loop(recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+        spent = np.array([(record.timing.late_ns, record.timing.work_ns) for record in records], np.float64) * 1e-6
+        recording.send_columns(LOOP, times.at(np.arange(len(records))), rr.Scalars.columns(scalars=spent))
+
+    def _send_modes(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+        changes: list[int] = []
+        for place, record in enumerate(records):
+            if record.outputs.mode is not self._mode:
+                self._mode = record.outputs.mode
+                changes.append(place)
+        if changes:
+            modes = [records[place].outputs.mode.value for place in changes]
+            recording.send_columns(MODE, times.at(np.array(changes)), rr.StateChange.columns(state=modes))
+
+    @staticmethod
+    def _send_events(
+        recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times
+    ) -> None:
+        """Events of the core, and gaps of the recording as a person should see them."""
+        said = [
+            (0, Event(Level.WARNING, "gap", f"cycles {gap.first_cycle} to {gap.last_cycle} are missing: {gap.reason}"))
+            for gap in gaps
+        ]
+        said += [(place, event) for place, record in enumerate(records) for event in record.outputs.events]
+        if said:
+            columns = rr.TextLog.columns(
+                text=[f"{event.code}: {event.text}" for _, event in said],
+                level=[_LEVELS[event.level] for _, event in said],
+            )
+            recording.send_columns(EVENTS, times.at(np.array([place for place, _ in said])), columns)
+
+    def _send_pictures(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
+        places = self._picture_places(times)
+        if not places.size:
+            return
+        shown = [traces[place] for place in places]
+        when = times.at(places)
+        poses = np.array([trace.pose for trace in shown], np.float64)
+        flat = np.column_stack((poses[:, :2], np.zeros(len(shown))))
+        recording.send_columns(ROBOT, when, rr.Transform3D.columns(translation=flat, quaternion=_turned(poses[:, 2])))
+        if self._joint is not None:
+            angles = self._joint_angles(shown)
+            recording.send_columns(CHASSIS, when, rr.Transform3D.columns(quaternion=_turned(-angles)))
+        for path, twists in ((COMMANDED, [t.target for t in shown]), (MEASURED, [t.measured for t in shown])):
+            recording.send_columns(path, when, rr.Arrows3D.columns(vectors=_arrows(twists)))
+        self._send_path(recording, shown, places, times)
+
+    def _picture_places(self, times: Times) -> Integers:
+        """About twenty cycles of each second."""
+        slots = times.mono // PICTURE_PERIOD_NS
+        fresh = np.diff(slots, prepend=self._picture) != 0
+        self._picture = int(slots[-1])
+        return np.flatnonzero(fresh)
+
+    def _joint_angles(self, traces: Sequence[Trace]) -> Floats:
+        """Platform relative to chassis (rad); the last known angle where it was not measured."""
+        angles = []
+        for trace in traces:
+            position = trace.wheel_positions[self._joint or 0]
+            if position is not None:
+                self._joint_angle = position
+            angles.append(self._joint_angle)
+        return np.array(angles)
+
+    def _send_path(
+        self, recording: rr.RecordingStream, traces: Sequence[Trace], places: Integers, times: Times
+    ) -> None:
+        """One short line per picture in which the robot moved; the viewer shows those of the last minutes together."""
+        points, drawn = [], []
+        for place, trace in zip(places, traces, strict=True):
+            end = self._path_end or trace.pose
+            if self._path_end is None or np.hypot(trace.pose.x - end.x, trace.pose.y - end.y) >= PATH_STEP:
+                points.append([(end.x, end.y, 0.0), (trace.pose.x, trace.pose.y, 0.0)])
+                drawn.append(place)
+                self._path_end = trace.pose
+        if drawn:
+            columns = rr.LineStrips3D.columns(strips=np.array(points, np.float32))
+            recording.send_columns(PATH, times.at(np.array(drawn)), columns)
+
+
+def _platform(config: RobotConfig) -> str | None:
+    return config.robot.platform if config.robot.kind == "offset_differential" else None
+
+
+def _lines(recording: rr.RecordingStream, path: str, names: list[str], *, wide: bool = False) -> None:
+    """What was asked for is drawn wide and pale, so that what was measured lies visibly on top of it."""
+    shades = np.array(colours(len(names), pale=wide), np.uint32)
+    widths = [5.0 if wide else 1.5] * len(names)
+    recording.log(path, rr.SeriesLines(names=names, colors=shades, widths=widths), static=True)
+
+
+def _turned(angles: Floats) -> Floats:
+    """Quaternions (x, y, z, w) of turns about the vertical."""
+    zero = np.zeros_like(angles)
+    return np.column_stack((zero, zero, np.sin(angles / 2), np.cos(angles / 2)))
+
+
+def _arrows(twists: Sequence[Twist | None]) -> Floats:
+    """Velocity as a vector; nothing where it is unknown."""
+    flat = [(0.0, 0.0, 0.0) if twist is None else (twist.vx, twist.vy, 0.0) for twist in twists]
+    return ARROW_SECONDS * np.array(flat)

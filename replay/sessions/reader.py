@@ -1,0 +1,395 @@
+"""Opens a recorded session: its header, its gaps, and every cycle in order, exactly as it was.
+
+How this works
+--------------
+A session is read segment by segment, of each segment what is whole. Nothing that is missing or damaged ends the
+reading: it is said in `problems`, and cycles that are not there show up in `gaps`. A session is complete when all of
+it is provably there: from cycle 0 without a gap, every segment in its place, closed, and equal to its seal, the last
+one sealed as final. Recordings from before there were seals are taken at the word of their last footer.
+"""
+
+import hashlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from gateway.recording.disk import segment_number, segments
+from gateway.recording.packets import Gap
+from gateway.recording.schema import (
+    CYCLE,
+    GAP_COLUMNS,
+    GAP_PATH,
+    HEADER_COLUMNS,
+    HEADER_PATH,
+    INDEX,
+    INPUT_CYCLE,
+    INPUTS,
+    OUTPUT_CYCLE,
+    OUTPUTS,
+    SCHEMA_VERSION,
+    SEAL_COLUMNS,
+    SEAL_PATH,
+    Header,
+    Kind,
+)
+from gateway.types import Inputs
+from replay.sessions.cycles import Column, Columns, CycleRows, Integers, RecordedOutputs
+from replay.sessions.framing import Found, checksum, read
+
+__all__ = ["RecordedOutputs", "Session", "SessionError", "open_session"]
+
+WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
+_LAYOUT: Mapping[str, Mapping[str, Kind]] = {
+    **{entity.path: {**entity.columns, INDEX: Kind.ID} for entity in (*INPUTS, *OUTPUTS, INPUT_CYCLE, OUTPUT_CYCLE)},
+    GAP_PATH: GAP_COLUMNS,
+    HEADER_PATH: HEADER_COLUMNS,
+    SEAL_PATH: SEAL_COLUMNS,
+}
+_STATIC = (HEADER_COLUMNS, SEAL_COLUMNS)
+PROBLEMS_SHOWN = 3
+UNMARKED = "not in the recording"
+PRUNED = "deleted to make room"
+_MAYBE = {Kind.MAYBE_INT, Kind.MAYBE_FLOAT, Kind.MAYBE_TEXT}
+_TYPES = {
+    Kind.INT: pa.int64(),
+    Kind.ID: pa.uint32(),
+    Kind.FLOAT: pa.float64(),
+    Kind.BOOL: pa.bool_(),
+    Kind.TEXT: pa.string(),
+    Kind.BINARY: pa.binary(),
+    Kind.FLOATS: pa.float64(),
+    Kind.MAYBE_INT: pa.int64(),
+    Kind.MAYBE_FLOAT: pa.float64(),
+    Kind.MAYBE_TEXT: pa.string(),
+}
+_DAMAGED = (KeyError, IndexError, OverflowError, TypeError, ValueError, pa.ArrowException)
+
+Tables = dict[str, Columns]  # by entity path
+
+
+class SessionError(Exception):
+    """A session that cannot be read; the text says which file and why."""
+
+
+class _Seal(NamedTuple):
+    """The columns of `SEAL_COLUMNS`."""
+
+    bytes: int
+    crc32: int
+    first_segment: int
+    final: bool
+    last_cycle: int | None
+
+
+class _Part(NamedTuple):
+    """What is known of a segment once it was read."""
+
+    cycles: Integers
+    markers: list[Gap]
+    problems: list[str]
+    first_segment: int = 1
+    seal: _Seal | None = None
+
+
+class Session:
+    """An opened session; see `open_session`."""
+
+    def __init__(self, path: Path, files: Sequence[Path], header: Header) -> None:
+        self.path = path
+        self.segments = tuple(files)
+        self.header = header
+        self._parts: dict[Path, _Part] = {}
+
+    @property
+    def config_text(self) -> str:
+        """The robot file as it was driven with."""
+        return self.header.config_text
+
+    @property
+    def cycle_count(self) -> int:
+        """How many cycles there are to read, give or take the incomplete ones of a damaged segment."""
+        counts = (
+            len(self._parts[segment].cycles) if segment in self._parts else _row_count(segment, OUTPUT_CYCLE.path)
+            for segment in self.segments
+        )
+        return sum(counts)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything is provably there; reads what has not been iterated yet."""
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is missing or damaged, in words; reads what has not been iterated yet."""
+        parts = self._all_parts()
+        found = [f"{path.name}: {problem}" for path in self.segments for problem in parts[path].problems]
+        found += self._missing_segments()
+        found += map(_gap_in_words, self.gaps)
+        last = parts[self.segments[-1]].seal
+        if self.header.sealed and (last is None or not last.final):
+            found.append("the session was not ended in order: its last cycles may be missing")
+        return tuple(found)
+
+    @property
+    def problem(self) -> str | None:
+        """The first of the problems in one line; None if the session is complete."""
+        problems = self.problems
+        more = len(problems) - PROBLEMS_SHOWN
+        return "; ".join(problems[:PROBLEMS_SHOWN]) + (f"; and {more} more" if more > 0 else "") or None
+
+    @property
+    def pruned(self) -> bool:
+        """Whether the beginning was deleted by the recorder to make room."""
+        parts = self._all_parts()
+        return 1 < self._numbers()[0] <= max(part.first_segment for part in parts.values())
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Cycles that are missing, in order; reads what has not been iterated yet."""
+        parts = self._all_parts().values()
+        cycles = np.unique(np.concatenate([part.cycles for part in parts]))
+        markers = [marker for part in parts for marker in part.markers]
+        if self.pruned and cycles.size and cycles[0] > 0:
+            markers.insert(0, Gap(0, int(cycles[0]) - 1, PRUNED))
+        seal = self._parts[self.segments[-1]].seal
+        return tuple(_gaps(cycles, markers, seal.last_cycle if seal is not None else None))
+
+    def cycles(self) -> Iterator[tuple[Inputs, RecordedOutputs]]:
+        """Every recorded cycle in order, none twice."""
+        last = -1
+        for path in self.segments:
+            rows = self._load(path)
+            for start in range(0, len(rows.cycle), WINDOW):
+                for inputs, outputs in self._window(rows, start, path):
+                    if inputs.cycle > last:
+                        last = inputs.cycle
+                        yield inputs, outputs
+
+    def _window(self, rows: CycleRows, start: int, path: Path) -> list[tuple[Inputs, RecordedOutputs]]:
+        try:
+            return list(rows.window(start, start + WINDOW))
+        except _DAMAGED as error:
+            self._parts[path].problems.append(f"it is damaged near cycle {rows.cycle[start]}: {error!r}")
+            return []
+
+    def _all_parts(self) -> Mapping[Path, _Part]:
+        for path in self.segments:
+            if path not in self._parts:
+                self._load(path)
+        return self._parts
+
+    def _numbers(self) -> list[int]:
+        """Of the segments by their names; a file of another name counts as what its header says."""
+        return [segment_number(path) or self.header.segment for path in self.segments]
+
+    def _missing_segments(self) -> list[str]:
+        """Numbers that are not there, except the first ones where the recorder says that it deleted them."""
+        numbers = self._numbers() if self.pruned else [0, *self._numbers()]
+        return [
+            f"segments {before + 1} to {number - 1} are missing"
+            for before, number in pairwise(numbers)
+            if number > before + 1
+        ]
+
+    def _load(self, path: Path) -> CycleRows:
+        """Read a segment; what cannot be read of it is a problem of the session."""
+        nothing = CycleRows({})
+        try:
+            found = read(path, _LAYOUT)
+            rows, part = self._examined(path, found)
+        except SessionError as error:
+            rows, part = nothing, _Part(nothing.cycle, [], [str(error).removeprefix(f"{path}: ")])
+        except OSError as error:
+            rows, part = nothing, _Part(nothing.cycle, [], [f"it cannot be read: {error.strerror}"])
+        except _DAMAGED as error:
+            rows, part = nothing, _Part(nothing.cycle, [], [f"it cannot be read: {error}"])
+        if path not in self._parts:
+            self._parts[path] = part
+        return rows
+
+    def _examined(self, path: Path, found: Found) -> tuple[CycleRows, _Part]:
+        """Raises one of _DAMAGED, OSError, SessionError."""
+        tables, intact = _tables(found)
+        problems = [found.problem] if found.problem else []
+        if not intact and not problems:
+            problems.append("it is damaged")
+        header, seal = _header_in(path, tables), _seal_in(tables)
+        if header is not None and header.session != self.header.session:
+            raise SessionError(f"{path}: it belongs to session {header.session}")
+        if header is None:
+            problems.append("it has no header")
+        elif header.segment != (segment_number(path) or header.segment):
+            problems.append(f"it is segment {header.segment} by its header")
+        if self.header.sealed and not problems:
+            problems += _seal_problems(path, seal, found)
+        rows = CycleRows(tables)
+        first = max(header.first_segment if header else 1, seal.first_segment if seal else 1)
+        return rows, _Part(rows.cycle, _markers(tables.get(GAP_PATH)), problems, first, seal)
+
+
+def open_session(path: Path) -> Session:
+    """Open a session folder or a single segment. Raises SessionError."""
+    try:
+        files = segments(path) if path.is_dir() else [path]
+        headers, problems = _headers(files)
+        if headers:
+            return Session(path, files, headers[0])
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    if not files:
+        raise SessionError(f"{path}: not a session: there is no segment-*.rrd in it")
+    raise problems[0] if problems else SessionError(f"{path}: not a session of DriveGate: it has no header")
+
+
+def _headers(files: Sequence[Path]) -> tuple[list[Header], list[SessionError]]:
+    """The first header that can be read, and what is wrong with those before it."""
+    problems: list[SessionError] = []
+    for file in files:
+        try:
+            header = _header(file)
+        except SessionError as error:
+            problems.append(error)
+            continue
+        if header is not None:
+            return [header], problems
+    return [], problems
+
+
+def _header(path: Path) -> Header | None:
+    return _header_in(path, _read(path, [HEADER_PATH], first_only=True))
+
+
+def _header_in(path: Path, tables: Tables) -> Header | None:
+    columns = tables.get(HEADER_PATH)
+    if columns is None:
+        return None
+    try:
+        version, text = (columns[name].flatten()[0].as_py() for name in ("schema_version", "json"))
+        if version != SCHEMA_VERSION:
+            raise SessionError(
+                f"{path}: has session schema {version}; this version of DriveGate reads {SCHEMA_VERSION}"
+            )
+        header = msgspec.json.decode(text, type=Header)
+    except _DAMAGED as error:
+        raise SessionError(f"{path}: damaged header: {error!r}") from None
+    if hashlib.sha256(header.config_text.encode()).hexdigest() != header.config_sha256:
+        raise SessionError(f"{path}: damaged header: the robot file in it does not match its checksum")
+    return header
+
+
+def _seal_in(tables: Tables) -> _Seal | None:
+    columns = tables.get(SEAL_PATH)
+    if columns is None:
+        return None
+    *numbers, last_cycle = (columns[name][-1].as_py() for name in SEAL_COLUMNS)
+    length, crc32, first_segment, final = (cell[0] for cell in numbers)
+    return _Seal(length, crc32, first_segment, final, last_cycle[0] if last_cycle else None)
+
+
+def _seal_problems(path: Path, seal: _Seal | None, found: Found) -> list[str]:
+    """Whether a closed segment is what was sealed."""
+    if seal is None:
+        return ["its seal is missing"]
+    if found.places[SEAL_PATH] != seal.bytes or checksum(path, seal.bytes) != seal.crc32:
+        return ["it is not as it was written: it does not fit its seal"]
+    return []
+
+
+def _row_count(path: Path, entity: str) -> int:
+    try:
+        columns = _read(path, [entity]).get(entity)
+    except SessionError:
+        return 0
+    return 0 if columns is None else len(columns[CYCLE])
+
+
+def _read(path: Path, entities: Collection[str], *, first_only: bool = False) -> Tables:
+    """Columns of these entities of a segment. Raises SessionError."""
+    try:
+        found = read(path, entities, first_only=first_only)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise SessionError(f"{path}: {error}") from None
+    return _tables(found)[0]
+
+
+def _tables(found: Found) -> tuple[Tables, bool]:
+    """Columns by entity, and whether every batch was as the recorder writes it."""
+    tables: Tables = {}
+    intact = True
+    for entity, batches in found.batches.items():
+        columns = _joined(batches, _LAYOUT[entity])
+        if columns is None:  # at least one batch is not as it was written: look at each of them
+            intact = False
+            columns = _joined([batch for batch in batches if _joined([batch], _LAYOUT[entity])], _LAYOUT[entity])
+        if columns is not None:
+            tables[entity] = columns
+    return tables, intact
+
+
+def _joined(batches: Sequence[pa.RecordBatch], layout: Mapping[str, Kind]) -> Columns | None:
+    """The columns by their own names, without the archetype in front; None if they are not as they were written."""
+    wanted = {name: pa.list_(_TYPES[kind]) for name, kind in layout.items()}
+    if not any(layout is static for static in _STATIC):
+        wanted[CYCLE] = pa.int64()
+    parts: dict[str, list[pa.Array]] = {name: [] for name in wanted}
+    for batch in batches:
+        for place, field in enumerate(batch.schema):
+            name = field.name.rpartition(":")[2]
+            if wanted.get(name) == field.type:
+                parts[name].append(batch.column(place))
+    for name in _absent(parts, layout):
+        parts[name] = [pa.array([[]] * batch.num_rows, wanted[name]) for batch in batches]
+    if not batches or any(len(found) != len(batches) for found in parts.values()):
+        return None
+    columns = {name: pa.concat_arrays(found) for name, found in parts.items()}
+    return columns if all(_fits(columns[name], kind) for name, kind in layout.items()) else None
+
+
+def _absent(parts: Mapping[str, Sequence[pa.Array]], layout: Mapping[str, Kind]) -> list[str]:
+    """Columns that an older recorder did not write yet: nothing was said there."""
+    return [name for name, kind in layout.items() if kind in _MAYBE and not parts[name]]
+
+
+def _fits(column: Column, kind: Kind) -> bool:
+    """One value per row; none at all only where nothing may be said."""
+    if column.null_count or column.flatten().null_count:
+        return False
+    cells = column.value_lengths().to_numpy()
+    return kind is Kind.FLOATS or bool(np.all((cells == 1) | ((cells == 0) & (kind in _MAYBE))))
+
+
+def _markers(columns: Columns | None) -> list[Gap]:
+    """The gaps as the recorder marked them."""
+    if columns is None:
+        return []
+    values = (columns[name].flatten().to_pylist() for name in GAP_COLUMNS)
+    return [Gap(*row) for row in zip(*values, strict=True)]
+
+
+def _gaps(cycles: Integers, markers: Sequence[Gap], last_cycle: int | None) -> Iterator[Gap]:
+    """What is missing: cycles skipped from 0 on, marked ones behind all that are there, and those up to the last."""
+    places = np.flatnonzero(np.diff(cycles, prepend=-1) > 1).tolist()
+    for place in places:
+        begin, end = int(cycles[place - 1]) + 1 if place else 0, int(cycles[place]) - 1
+        reasons = [m.reason for m in markers if m.first_cycle <= end and m.last_cycle >= begin]
+        yield Gap(begin, end, "; ".join(dict.fromkeys(reasons)) or UNMARKED)
+    last = int(cycles[-1]) if cycles.size else -1
+    for marker in markers:
+        if marker.last_cycle > last:
+            yield Gap(max(marker.first_cycle, last + 1), marker.last_cycle, marker.reason)
+            last = marker.last_cycle
+    if last_cycle is not None and last_cycle > last:
+        yield Gap(last + 1, last_cycle, UNMARKED)
+
+
+def _gap_in_words(gap: Gap) -> str:
+    reason = "" if gap.reason == UNMARKED else f" ({gap.reason})"
+    return f"cycles {gap.first_cycle} to {gap.last_cycle} are missing from the recording{reason}"
