@@ -160,7 +160,8 @@ class _Finder(ast.NodeVisitor):
     def _assigned(self, target: ast.expr, value: ast.expr) -> None:
         if _is_type(value):
             return
-        if not self._functions and isinstance(target, ast.Name) and _is_quantity(value):
+        named = not self._functions and isinstance(target, ast.Name)
+        if named and _is_quantity(value) and not (isinstance(value, ast.Constant) and value.value == 0):
             self._scale(value)
             return
         self.visit(value)
@@ -294,6 +295,10 @@ class _Finder(ast.NodeVisitor):
             if node.func.id in TRANSPARENT:
                 self._change(node, node.args[0])
         self.generic_visit(node)
+
+    def visit_keyword(self, node: ast.keyword) -> None:
+        if node.arg != "strict":  # of zip: an assertion
+            self.visit(node.value)
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
         pass

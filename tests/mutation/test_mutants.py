@@ -42,10 +42,12 @@ IN_A_FUNCTION = {
     "a = 'x' if b else f'{1}'": set(),
     "a: int | None = b": set(),
     "assert a == 1": set(),
+    "zip(a, b, strict=True)": {"without zip(a, b, strict=True)"},
     "import a": set(),
 }
 ON_MODULE_LEVEL = {
     "LIMIT = 3": {"3 -> 3 * 2", "3 -> 3 // 2"},
+    "LIMIT = 0": {"0 -> 1"},
     "LIMIT = 0.3": {"0.3 -> 0.3 * 2", "0.3 -> 0.3 / 2"},
     "TIME = 20 * MS": {"20 * MS -> 20 * MS * 2", "20 * MS -> 20 * MS // 2"},
     "TABLE = {A: ((b, M.C), (d, M.E))}": {"without A: ((b, M.C), (d, M.E))", "without (b, M.C)", "without (d, M.E)"},
