@@ -19,7 +19,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"ground"},
-    "gateway/control": {"ground"},
+    "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/edges"},
