@@ -104,7 +104,7 @@ def magnitudes(given: Given) -> list[float]:
 
 
 def matrix(given: Given) -> list[float]:
-    return [float(entry) for entry in chassis(given).matrix().flatten()]
+    return [float(entry) for row in chassis(given).matrix() for entry in row]
 
 
 def odometry(given: Given) -> Pose:

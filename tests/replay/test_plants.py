@@ -118,7 +118,7 @@ def mirror(subject: Subject) -> list[tuple[int, float]]:
 
     Read from the rows of the kinematics: vy and wz change their sign, so the row of the image is (a, -b, -c).
     """
-    rows = KINEMATICS[subject.robot.kind](subject.robot).matrix()
+    rows = np.array(KINEMATICS[subject.robot.kind](subject.robot).matrix())
     images = rows * [1.0, -1.0, -1.0]
     found = [
         (place, sign)
