@@ -422,7 +422,7 @@ def test_a_robot_that_rolls_in_an_emergency_stop_is_braked_again_and_held(name: 
     world.request(RequestKind.ESTOP)
     world.run(1.0)
     assert set(world.last.trace.wheel_setpoints) == {None}
-    world.bus.robot.dynamics.slope = 0.15
+    world.bus.robot.set_slope(0.15)
     world.run(3.0)
     assert set(world.last.trace.wheel_setpoints) == {0.0}
     assert world.true_speed() < 0.02
