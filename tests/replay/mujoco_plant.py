@@ -14,16 +14,14 @@ from collections.abc import Callable, Mapping, Sequence
 from math import atan2, cos, isinf, pi, sin, sqrt
 from typing import Any
 
+import mujoco
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from gateway.config import Body, OffsetDifferentialRobot, OmniRobot
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import PLANTS
-
-mujoco: Any = pytest.importorskip("mujoco", reason="pip install 'drivegate[mujoco]'")
 
 Matrix = NDArray[np.float64]
 GRAVITY = 9.81  # m/s^2
