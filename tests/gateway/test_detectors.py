@@ -325,6 +325,7 @@ def test_slip_has_a_delay_and_a_hysteresis() -> None:
 
 def test_slip_counts_from_its_beginning() -> None:
     detector = SlipDetector()
+    assert not detector.slipping
     for residual in [1.0] * 10 + [0.0] + [1.0] * 10:
         detector.look(residual, DT)
         assert not detector.slipping

@@ -133,8 +133,7 @@ def test_after_a_pause_a_motor_is_judged_anew(pause: str) -> None:
     if pause == "out of operation":
         assess(health, MotorFeedback(MotorState.IDLE), WELL, energised=False)
     elif pause == "out of reach":
-        health.assess([WELL, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=0)
-        assess(health, WELL, WELL, now_ns=1)
+        health.assess([WELL, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=-1)
     else:
         getattr(health, pause)()
     assert look(health, STALL[:15]).faults == ()
