@@ -13,6 +13,7 @@ PACKAGES = ("drivers", "gateway", "replay")
 GROUND = (
     "gateway/arithmetic.py",
     "gateway/types.py",
+    "gateway/build.py",
     "gateway/config.py",
     "gateway/robot_files.py",
     "gateway/__init__.py",
@@ -25,7 +26,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"ground"},
-    "gateway/control": {"ground"},
+    "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/edges"},

@@ -324,8 +324,7 @@ class Axis:
             self.voltage = items[0]
 
     def _take_reason(self, command: int, items: tuple[Any, ...], _received_ns: int) -> None:
-        if self.step is Step.ASK_WHY:
-            self.reasons[command] = items[self.firmware.reasons[command].item]
+        self.reasons[command] = items[self.firmware.reasons[command].item]
 
 
 def _drop(_items: tuple[Any, ...], _received_ns: int) -> None:

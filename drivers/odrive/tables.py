@@ -67,7 +67,7 @@ class Message(NamedTuple):
         return tuple((field.name, _value(field, items[field.item])) for field in self.fields)
 
 
-def _value(field: Field, item: float) -> float | int:
+def _value(field: Field, item: int | float) -> float | int:  # a whole number stays one, compiled too
     if field.mask:
         return int(item) >> field.shift & field.mask
     return item if field.scale == 1.0 else item * field.scale

@@ -6,10 +6,12 @@ alone would cost it 80 MB and half a second), and a stop should not wait for imp
 
 import sys
 from importlib import import_module
+from typing import Annotated
 
 import typer
 
-from gateway.cli.output import EXIT_CONFIG, complain
+from gateway.build import version
+from gateway.cli.output import EXIT_CONFIG, complain, console
 from gateway.config import ConfigError
 from gateway.edges.claims import InUseError
 from gateway.edges.zenoh_session import LinkError
@@ -32,6 +34,12 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
 }
 
 
+def _show_version(asked: bool) -> None:
+    if asked:
+        console.print(f"drivegate {version()}", highlight=False)
+        raise typer.Exit
+
+
 def build(called: str | None) -> typer.Typer:
     """The command line with the command that is called; with all of them when that is none or unknown."""
     app = typer.Typer(
@@ -41,7 +49,7 @@ def build(called: str | None) -> typer.Typer:
         add_completion=False,
         pretty_exceptions_enable=False,
     )
-    app.callback()(lambda: None)  # keeps the command's name in use even when it is the only one
+    app.callback()(_options)  # also keeps the command's name in use even when it is the only one
     for name in [called] if called in COMMANDS else COMMANDS:
         command = getattr(import_module(f"gateway.cli.{COMMANDS[name]}"), name)
         if isinstance(command, typer.Typer):
@@ -49,6 +57,15 @@ def build(called: str | None) -> typer.Typer:
         else:
             app.command(name)(command)
     return app
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Version and form of the core.", callback=_show_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Options of the command line itself."""
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import typer
 
-from gateway import robot_files
+from gateway import build, robot_files
 from gateway.cli.output import console, print_json
 from gateway.client import Client
 from gateway.config import Bus, RobotConfig, load
@@ -29,7 +29,7 @@ INSTALLED = Path("/etc/drivegate")
 SESSIONS = Path("/var/lib/drivegate")
 ANSWER_S = 3.0
 SLEEPS = 50
-_PACKAGES = ("drivegate", "eclipse-zenoh", "python-can", "rerun-sdk", "numpy", "pydantic")
+_PACKAGES = ("eclipse-zenoh", "python-can", "rerun-sdk", "numpy", "pydantic")
 _UNIT_KEYS = ("LoadState", "ActiveState", "UnitFileState", "StatusText", "Result", "ExecMainStatus", "NRestarts", "Job")
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic)/\[?(?P<host>[^/\]]+)\]?:(?P<port>\d+)")
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
@@ -102,6 +102,7 @@ def _robot(path: Path) -> Iterator[Finding]:
 def _versions() -> Iterator[str]:
     system = os.uname()
     yield f"{system.sysname} {system.release} {system.machine}"
+    yield f"drivegate {build.version()}"
     for package in _PACKAGES:
         try:
             yield f"{package} {metadata.version(package)}"

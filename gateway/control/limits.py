@@ -194,8 +194,6 @@ class TwistLimiter:
     def _spare(self, way: Twist) -> Twist:
         """What turning leaves of the acceleration limits in the direction of the way."""
         vx, vy, wz = self.setpoint
-        if wz == 0.0:
-            return self._acceleration
         limit_x, limit_y, limit_z = self._acceleration
         return Twist(_left(limit_x, -wz * vy, way.vx), _left(limit_y, wz * vx, way.vy), limit_z)
 

@@ -274,4 +274,4 @@ class SlipDetector:
             self.slipping = False
             return
         self._time += dt
-        self.slipping = self.slipping or self._time >= self.TIME
+        self.slipping = self._time >= self.TIME

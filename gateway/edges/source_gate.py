@@ -39,7 +39,7 @@ class SourceGate:
         silent = self._passed_ns is None or command.received_ns - self._passed_ns > self.timeout_ns
         if command.sender != self._sender and not silent:
             return _refusal(command, RefusalCode.SECOND_SENDER, self._held(command))
-        if command.sender == self._sender and not silent and (why := self._out_of_order(command, stamp_ns)):
+        if not silent and (why := self._out_of_order(command, stamp_ns)):
             return _refusal(command, RefusalCode.OLD_SEQUENCE, why)
         if command.sender != self._sender:
             self._sender, self._generation, self._sequence, self._stamp_ns = command.sender, 0, None, None

@@ -9,8 +9,8 @@ import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 
+from gateway.build import ROOT
 from gateway.edges.signals import ENDING
 from gateway.recording.packets import PACKET_LIMIT, Hello, RecorderReport, decode_report, encode
 
@@ -130,8 +130,7 @@ def _spawn(descriptor: int) -> subprocess.Popen[bytes]:
     The ending signals are blocked around the start, because a blocked signal stays blocked across exec: ^C in a
     terminal and systemd's SIGTERM reach the whole group, and the recorder must outlive the service.
     """
-    root = str(Path(__file__).parent.parent)
-    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         return subprocess.Popen(

@@ -5,8 +5,8 @@ import platform
 import socket
 import subprocess
 from importlib import metadata
-from pathlib import Path
 
+from gateway.build import FORM, ROOT
 from gateway.recording.packets import Hello
 from gateway.recording.schema import SCHEMA_VERSION, Header
 
@@ -24,7 +24,8 @@ def header(hello: Hello, *, session: str, robot: str) -> Header:
         config_origin=hello.config_origin,
         config_sha256=hashlib.sha256(hello.config_text.encode()).hexdigest(),
         config_text=hello.config_text,
-        versions={name: _version(name) for name in _DISTRIBUTIONS} | {"python": platform.python_version()},
+        versions={name: _version(name) for name in _DISTRIBUTIONS}
+        | {"python": platform.python_version(), "core": FORM},
         git_commit=_git_commit(),
         host=socket.gethostname(),
         started_wall_ns=hello.started_wall_ns,
@@ -42,10 +43,9 @@ def _version(distribution: str) -> str:
 
 def _git_commit() -> str | None:
     """Commit of the checkout this file lies in, `-dirty` if it was changed; None outside of one."""
-    root = Path(__file__).parent.parent
-    if not (root / ".git").exists():
+    if not (ROOT / ".git").exists():
         return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_GIT_TIMEOUT_S, check=True)
     except (OSError, subprocess.SubprocessError):

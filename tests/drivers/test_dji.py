@@ -1,7 +1,7 @@
 """DJI: turns counted across gaps, shared command frames, silence."""
 
 from math import pi
-from struct import pack
+from struct import pack, unpack
 
 import pytest
 from hypothesis import given, settings
@@ -138,6 +138,14 @@ def test_the_tightest_limit_holds(torque: float, current: float, raw: int) -> No
     assert frame.data == pack(">4h", raw, 0, 0, 0)
 
 
+def test_the_limit_of_the_controller_holds() -> None:
+    driver = DjiDriver(BUS, [spec("c610", id=1)._replace(max_current=99.0)])
+    fed(driver, angle=0, at=0)
+    for torque, raw in ((50.0, 10000), (-50.0, -10000)):
+        (frame,) = driver.command([MotorCommand(CommandKind.TORQUE, torque)], now_ns=1)
+        assert frame.data == pack(">4h", raw, 0, 0, 0)
+
+
 def test_silent_after_50_ms_and_current_zero() -> None:
     driver = DjiDriver(BUS, [spec("c620", id=1)._replace(feedback_rate=1000.0)])
     fed(driver, angle=0, at=0)
@@ -148,3 +156,98 @@ def test_silent_after_50_ms_and_current_zero() -> None:
     assert not any(driver.command(pull, now_ns=50 * MS)[0].data)
     assert not any(driver.command([COAST], now_ns=1)[0].data)
     assert driver.feedback(now_ns=1)[0].state is MotorState.IDLE
+
+
+def stop_raw(driver: DjiDriver, *, at: int) -> int:
+    (frame,) = driver.stop_frames(now_ns=at)
+    raw: int = unpack(">4h", frame.data)[0]
+    return raw
+
+
+@pytest.mark.parametrize(
+    ("max_speed", "rpm", "raw"),  # of a quarter of top speed (239 and 716 rpm) all 20 A brake
+    [
+        (100.0, 0, 0),
+        (100.0, 1, 0),
+        (100.0, 2, -137),
+        (100.0, -2, 137),
+        (100.0, 100, -6863),
+        (100.0, -100, 6863),
+        (100.0, 239, -16384),
+        (100.0, -5000, 16384),
+        (300.0, 5, 0),  # 0.002 of top speed are 5.7 rpm
+        (300.0, 6, -137),
+        (300.0, 600, -13726),
+    ],
+)
+def test_a_stop_frame_brakes_in_proportion_to_the_speed(max_speed: float, rpm: int, raw: int) -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)._replace(max_speed=max_speed)])
+    fed(driver, angle=0, rpm=rpm, at=1000 * MS)
+    assert stop_raw(driver, at=1000 * MS) == raw
+
+
+@pytest.mark.parametrize(
+    ("command_rate", "times", "share"),  # of what 5 ms may have
+    [
+        (250.0, (0,), 1.0),
+        (200.0, (0,), 1.0),
+        (50.0, (0,), 0.25),
+        (250.0, (10,), 0.5),  # since the measurement
+        (250.0, (-5, 0), 1.0),  # since the last frame
+        (250.0, (-20, 0), 0.25),
+        (250.0, (-60, -20, 0), 0.25),
+        (250.0, (49.999999,), 0.1),
+        (250.0, (50,), 0.0),
+    ],
+)
+def test_a_stop_frame_is_weaker_the_longer_it_may_be_held(
+    command_rate: float, times: tuple[float, ...], share: float
+) -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)._replace(feedback_rate=1000.0, command_rate=command_rate)])
+    for ms in times[:-1]:
+        assert stop_raw(driver, at=round((1000 + ms) * MS)) == 0, "not heard yet"
+    fed(driver, angle=0, rpm=200, at=1000 * MS)
+    assert stop_raw(driver, at=round((1000 + times[-1]) * MS)) == pytest.approx(-13726 * share, abs=1)
+
+
+def test_a_motor_never_heard_gets_no_current() -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)])
+    for now_ns in (0, 1000 * MS):
+        assert not any(driver.command([MotorCommand(CommandKind.TORQUE, 0.1)], now_ns=now_ns)[0].data)
+        assert stop_raw(driver, at=now_ns) == 0
+
+
+def test_coasting_is_no_current_whatever_value_it_carries() -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)])
+    fed(driver, angle=0, at=0)
+    first = driver.feedback(now_ns=0)[0]
+    assert (first.state, first.age_ns) == (MotorState.IDLE, 0)
+    assert not any(driver.command([MotorCommand(CommandKind.COAST, 0.1)], now_ns=0)[0].data)
+
+
+def test_a_stamp_that_goes_back_far_counts_as_no_gap_either() -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=1)])
+    fed(driver, angle=0, rpm=9000, at=200_000 * MS)
+    fed(driver, angle=8000, rpm=9000, at=0)
+    assert position_ticks(driver) == -192
+
+
+def test_limits_of_one_step_of_current_are_enough() -> None:
+    DjiDriver(BUS, [spec("c620", id=1)._replace(max_current=1.5 / 819.2)])
+
+
+def test_what_it_can_what_it_hears_and_which_ids_it_takes() -> None:
+    driver = DjiDriver(BUS, [spec("c620", id=4, name="d"), spec("c610", id=5, name="e")])
+    assert driver.capabilities == (False, True, False, False, False)
+    assert driver.receive_filters() == ((0x204, 0x7FF, False), (0x205, 0x7FF, False))
+    assert driver.ids() == (
+        ("dji command of motor d", 0x200, 0x7FF, False),
+        ("dji command of motor e", 0x1FF, 0x7FF, False),
+        ("dji feedback of motor d", 0x204, 0x7FF, False),
+        ("dji feedback of motor e", 0x205, 0x7FF, False),
+        ("dji setting of ids", 0x700, 0x7FF, False),
+    )
+    frame = CanFrame(BUS, 0x1FF, pack(">4h", 1, 2, 3, 4))
+    numbered = tuple((f"current_raw_{number}", number - 4) for number in range(5, 9))
+    assert driver.decode(frame) == (None, "command", numbered, ("e", None, None, None))
+    assert driver.decode(frame._replace(bus="can1")) is None

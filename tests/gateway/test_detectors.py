@@ -57,6 +57,9 @@ STALLED = sample(torque=FULL)
         (STALLED._replace(setpoint=1.0, speed=0.1), 103),  # 0.02 s at top speed are 0.4 rad
         (STALLED._replace(torque=None), 128),
         (STALLED._replace(setpoint=1.0, torque=None), 205),
+        (STALLED._replace(speed=1.0), 64),
+        (STALLED._replace(speed=0.9), 64),
+        (STALLED._replace(setpoint=0.2), 256),  # by its crawl
         (STALLED._replace(torque=7.9), None),
         (STALLED._replace(speed=1.01), None),
         (STALLED._replace(setpoint=0.19), None),
@@ -73,6 +76,29 @@ def test_a_stall_that_gives_way_counts_anew() -> None:
     assert trips(StallDetector(LIMITS), [*[STALLED] * 63, sample(speed=5.0, torque=FULL), *[STALLED] * 63]) is None
 
 
+def test_a_stall_is_over_once_nothing_is_asked_any_more() -> None:
+    for x, cycles in ((STALLED, 63), (CRAWLING, 255)):
+        for pause in (x._replace(driving=False), x._replace(setpoint=None), x._replace(torque=SOME)):
+            assert trips(StallDetector(LIMITS), [*[x] * cycles, pause, *[x] * cycles]) is None
+
+
+def test_the_way_of_a_stall_is_inclusive() -> None:
+    """At 50 rad/s the way is 1 rad: 128 cycles of 2 rad/s."""
+    assert trips(StallDetector(Limits(50.0, 10.0)), repeat(STALLED._replace(setpoint=2.0), LONG)) == 128
+
+
+@pytest.mark.parametrize(
+    ("torque", "text"),
+    [
+        (FULL, "stands still against 9.0 N m where 10.00 rad/s is commanded"),
+        (None, "stands still where 10.00 rad/s is commanded"),
+    ],
+)
+def test_a_stall_in_words(torque: float | None, text: str) -> None:
+    detector = StallDetector(LIMITS)
+    assert [detector.look(STALLED._replace(torque=torque)) for _ in range(128)][-1] == text
+
+
 CRAWLING = sample(setpoint=0.5, speed=0.9, torque=FULL)
 
 
@@ -82,6 +108,8 @@ CRAWLING = sample(setpoint=0.5, speed=0.9, torque=FULL)
         (CRAWLING, 256),  # 1 s
         (CRAWLING._replace(speed=-0.9), 256),
         (CRAWLING._replace(speed=1.1), None),
+        (CRAWLING._replace(speed=1.0), None),
+        (CRAWLING._replace(speed=-1.1), None),
         (CRAWLING._replace(torque=SOME), None),
         (CRAWLING._replace(torque=None), None),
         (CRAWLING._replace(setpoint=0.1), None),
@@ -105,6 +133,7 @@ APART = sample(speed=3.9)
         (APART._replace(torque=None), 128),
         (APART._replace(speed=16.1), 128),
         (APART._replace(speed=4.1), None),
+        (APART._replace(speed=4.0), None),
         (APART._replace(torque=FULL), None),
         (APART._replace(setpoint=None), None),
         (APART._replace(speed=None), None),
@@ -113,6 +142,10 @@ APART = sample(speed=3.9)
 )
 def test_following(x: Sample, cycles: int | None) -> None:
     assert steady(FollowingDetector, x) == cycles
+
+
+def test_a_wheel_that_followed_meanwhile_counts_anew() -> None:
+    assert trips(FollowingDetector(LIMITS), [*[APART] * 127, sample(speed=5.0), *[APART] * 127]) is None
 
 
 MOVING = [sample(speed=2.1, position=0.0, driving=False), sample(speed=2.1, position=0.01, driving=False)]
@@ -127,12 +160,22 @@ STILL = sample(torque=0.0)
         ([x._replace(speed=0.61) for x in MOVING], STOPPED._replace(driving=True), 4),
         ([x._replace(speed=0.59) for x in MOVING], STOPPED._replace(driving=True), None),
         ([x._replace(speed=1.99) for x in MOVING], STOPPED, None),
+        ([x._replace(speed=-2.1) for x in MOVING], STOPPED, 4),
+        ([x._replace(speed=2.0) for x in MOVING], STOPPED, None),
+        ([*MOVING, STOPPED._replace(position=0.02)], STOPPED._replace(position=0.02), 4),  # frozen a sample before
+        ([*[MOVING[0]] * 3, MOVING[1]], STOPPED._replace(dt=1 / 64), 3),
+        (MOVING, STOPPED._replace(dt=0.004), 3),  # 12 ms are enough
+        ([STILL], STILL, None),
         ([STILL], STILL._replace(torque=3.0), 39),  # 0.15 s
+        ([STILL], STILL._replace(torque=3.0, dt=0.15), 1),
+        ([STILL], STILL._replace(torque=3.0, setpoint=-10.0), 39),
+        ([STILL], STILL._replace(torque=3.0, setpoint=0.2), 39),
         ([STILL], STILL._replace(torque=-3.0), 39),
         ([STILL], STILL._replace(torque=2.9), None),
         ([STILL], STILL._replace(torque=None), None),
         ([STILL], STILL._replace(torque=3.0, setpoint=0.19), None),
         ([STILL], STILL._replace(expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
+        ([STILL] * 3, STILL._replace(expected=lambda: -1.0, dt=0.04), 1),
         ([STILL], STILL._replace(expected=lambda: 0.99), None),
         ([STILL], STILL._replace(expected=lambda: 1.0, setpoint=0.0), None),
         ([STILL], STILL._replace(torque=3.0, fresh=False), None),
@@ -146,6 +189,20 @@ def test_frozen_encoder(before: list[Sample], x: Sample, cycles: int | None) -> 
     detector = FrozenEncoderDetector(LIMITS)
     assert trips(detector, before) is None
     assert trips(detector, repeat(x, LONG)) == cycles
+
+
+@pytest.mark.parametrize(
+    ("x", "cycles", "pause"),
+    [
+        (STILL._replace(torque=3.0), 38, STILL._replace(position=None)),
+        (STILL._replace(torque=3.0), 38, STILL),
+        (STILL._replace(expected=lambda: 1.0), 12, STILL._replace(setpoint=0.0)),
+        (STILL._replace(expected=lambda: 1.0), 12, STILL),
+    ],
+)
+def test_a_doubt_about_an_encoder_that_is_interrupted_counts_anew(x: Sample, cycles: int, pause: Sample) -> None:
+    again = 38 if cycles == 38 else 10
+    assert trips(FrozenEncoderDetector(LIMITS), [*[x] * cycles, pause, *[x] * again]) is None
 
 
 def growing(rate: float, *, cycles: int = 40, setpoint: float | None = 2.0, fresh: bool = True) -> list[Sample]:
@@ -170,6 +227,46 @@ def test_an_impact_or_a_lag_is_no_runaway() -> None:
         assert trips(RunawayDetector(LIMITS), samples) is None
 
 
+def mirrored(samples: Iterable[Sample]) -> list[Sample]:
+    return [x._replace(setpoint=-(x.setpoint or 0.0), speed=-(x.speed or 0.0)) for x in samples]
+
+
+def speeds(*, cycles: int, setpoint: tuple[float, float], speed: tuple[float, float]) -> list[Sample]:
+    """Both from a value, by so much per cycle."""
+    (a, by_a), (b, by_b) = setpoint, speed
+    return [sample(setpoint=a + by_a * cycle, speed=b + by_b * cycle) for cycle in range(cycles)]
+
+
+IMPACT = speeds(cycles=12, setpoint=(10.0, 0.0), speed=(13.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("samples", "cycles"),
+    [
+        (growing(1.0), 14),
+        (growing(0.9), 16),  # 0.05 of top speed
+        (growing(0.79, cycles=LONG), None),
+        (speeds(cycles=50, setpoint=(10.0, -0.5), speed=(10.0, -0.1)), None),  # brakes, and lags
+        (speeds(cycles=50, setpoint=(10.0, -0.5), speed=(10.0, 0.0)), None),  # has not begun to brake
+        ([*speeds(cycles=12, setpoint=(7.0, 0.25), speed=(11.5, 0.125)), *IMPACT], None),  # it catches up, then a push
+        ([*speeds(cycles=12, setpoint=(7.0, 0.25), speed=(10.0, 0.25)), *IMPACT], None),
+        ([*growing(1.0)[:13], sample(speed=None), *growing(1.0)[13:24]], None),
+        ([sample(speed=0.0), *growing(1.0)], 15),
+    ],
+)
+def test_runaway_is_the_same_both_ways(samples: list[Sample], cycles: int | None) -> None:
+    assert trips(RunawayDetector(LIMITS), samples) == cycles
+    both = [x if x.speed is None else mirrored([x])[0] for x in samples]
+    assert trips(RunawayDetector(LIMITS), both) == cycles
+
+
+def test_time_and_growth_of_a_runaway_are_inclusive() -> None:
+    for time, last in ((0.05, 5.0), (0.0625, 4.0)):  # s, rad/s where 2 are commanded
+        course = [(3.0, 0.0), (3.125, time), (3.25, 0.0), (3.375, 0.0), (3.5, 0.0), (3.625, 0.0), (last, 0.0)]
+        samples = [sample(setpoint=2.0, speed=speed)._replace(dt=dt) for speed, dt in course]
+        assert trips(RunawayDetector(LIMITS), samples) == 7
+
+
 def test_a_single_sample_over_much_time_is_no_runaway() -> None:
     samples = [x._replace(dt=0.02) for x in growing(6.0, cycles=10)]
     assert trips(RunawayDetector(LIMITS), samples) == 7  # six in a row
@@ -186,6 +283,22 @@ def test_twin() -> None:
     assert trips(TwinDetector(LIMITS), [x._replace(position=None) for x in jumping(1.0)]) is None
     assert trips(TwinDetector(LIMITS), [x._replace(speed=None) for x in jumping(1.0)]) is None
     assert trips(TwinDetector(LIMITS), [x._replace(fresh=False) for x in jumping(1.0)]) is None
+
+
+def test_the_bound_of_a_jump_is_no_jump_and_the_fifth_jump_counts() -> None:
+    assert trips(TwinDetector(LIMITS), jumping(0.03 + 0.5 * 10.0 * LIMITS.speed * DT * DT)) is None
+    assert trips(TwinDetector(LIMITS), [x._replace(dt=0.0) for x in jumping(1.0)]) == 6
+
+
+@pytest.mark.parametrize(("every", "sure"), [(50, True), (65, False)])
+def test_jumps_are_forgotten_within_about_a_second(every: int, sure: bool) -> None:
+    samples = [sample(position=float(cycle // every % 2)) for cycle in range(LONG)]
+    assert (trips(TwinDetector(LIMITS), samples) is not None) is sure
+
+
+def test_a_position_after_an_unknown_one_is_compared_with_nothing() -> None:
+    samples = [x for position in (0.0, 1.0) * 20 for x in (sample(position=position), sample(position=None))]
+    assert trips(TwinDetector(LIMITS), samples) is None
 
 
 def test_few_jumps_or_rare_ones_and_steady_motion_are_no_twin() -> None:
@@ -208,3 +321,14 @@ def test_slip_has_a_delay_and_a_hysteresis() -> None:
     assert detector.slipping
     detector.look(None, DT)
     assert not detector.slipping
+
+
+def test_slip_counts_from_its_beginning() -> None:
+    detector = SlipDetector()
+    assert not detector.slipping
+    for residual in [1.0] * 10 + [0.0] + [1.0] * 10:
+        detector.look(residual, DT)
+        assert not detector.slipping
+    detector.look(None, DT)
+    detector.look(1.0, 0.04)
+    assert detector.slipping

@@ -109,7 +109,7 @@ STEPS = ("write", "fsync", "replace", "unlink")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from gateway import estop_latch
+from gateway.edges import estop_latch
 def die(*_, **__):
     os.kill(os.getpid(), signal.SIGKILL)
 file = estop_latch.EstopFile(Path(sys.argv[1]), "moby")

@@ -2,8 +2,10 @@
 
 import pytest
 
-from gateway.core.joint_trust import HICCUP_NS, HICCUP_WAY, JointTrust
+from gateway.core.joint_trust import JointTrust
 
+HICCUP_NS = 500_000_000
+HICCUP_WAY = 0.05  # rad
 JOINT, TOP_SPEED = 1, 7.0
 
 
@@ -73,3 +75,26 @@ def test_a_silent_joint_has_no_angle() -> None:
     trust = heard(absolute=True)
     trust.reference(JOINT, 1.0, 0.0)
     assert trust.angles([None, None]) == [None, None]
+
+
+def test_only_the_silence_before_this_angle_counts() -> None:
+    """Turning on without a pause is no jump, however far and late; nor are two hiccups one silence."""
+    trust = heard(absolute=False)
+    trust.watch([0.0, 2.0], [], 2 * HICCUP_NS)
+    assert trust.trusted([0.0, 2.0]) == [0.0, 2.0]
+    for back_ns in (3 * HICCUP_NS, 4 * HICCUP_NS):
+        trust.watch([0.0, None], [], back_ns - 1)
+        trust.watch([0.0, 2.0], [], back_ns)
+        assert trust.unknown == {}
+    trust.watch([0.0, 3.0], [], 5 * HICCUP_NS)
+    assert trust.unknown == {}
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_at_the_bound_it_is_still_believed(absolute: bool) -> None:
+    trust = JointTrust([JOINT], absolute=[False, absolute], top_speeds=[20.0, TOP_SPEED])
+    trust.reference(JOINT, 0.0, 0.0)
+    trust.watch([0.0, 0.0], [], 0)
+    trust.watch([0.0, None], [], 1)
+    trust.watch([0.0, HICCUP_WAY], [], 0 if absolute else HICCUP_NS)
+    assert trust.unknown == {}

@@ -171,7 +171,7 @@ def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Rec
 
 STUCK_AT_THE_SECOND_BATCH = """
 import sys
-from gateway import recorder_process
+from gateway.recording import process as recorder_process
 from gateway.recording.segment import Segment
 
 def write(segment, records, gaps, plain=Segment.write):

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.edges.source_gate import DRIFT_PPM, SourceGate
+from gateway.edges.source_gate import SourceGate
 from gateway.types import ZERO_TWIST, Refusal, RefusalCode, TwistCommand, TwistFrame
 
 MS = 1_000_000
 SECOND = 1000 * MS
 TIMEOUT_NS = 200 * MS
+DRIFT_PPM = 500
 OFFSET_NS = 5000 * SECOND  # between the two clocks: whatever it is, it must not matter
 DAY = 24 * 3600 * SECOND
 
@@ -135,6 +136,43 @@ def test_after_a_stall_a_living_commander_goes_on_as_the_same_sender() -> None:
     outcome = _stamped(gate, begin_ns + 920 * MS, 3 * MS)
     assert isinstance(outcome, TwistCommand)
     assert (outcome.sender, outcome.stamped) == ("joy", True)
+
+
+@pytest.mark.parametrize(("beyond_ns", "code"), [(0, None), (1, RefusalCode.STALE)])
+def test_the_timeout_is_the_longest_delay_that_passes(beyond_ns: int, code: RefusalCode | None) -> None:
+    gate = SourceGate(TIMEOUT_NS)
+    _stamped(gate, 0, 0)
+    drift_ns = 200_000  # 500 ppm of the 400 ms between the arrivals
+    delay_ns = TIMEOUT_NS + drift_ns + beyond_ns
+    assert _code(_stamped(gate, 400 * MS - delay_ns, delay_ns)) is code
+
+
+def test_a_command_without_a_stamp_between_others_changes_nothing() -> None:
+    gate = SourceGate(TIMEOUT_NS)
+    assert isinstance(gate.admit(_command(0), None), TwistCommand)
+    assert isinstance(_stamped(gate, MS, 0), TwistCommand)
+    assert isinstance(gate.admit(_command(2 * MS), None), TwistCommand)
+    assert _code(_stamped(gate, 3 * MS, 900 * MS)) is RefusalCode.STALE
+
+
+def test_two_commands_of_one_moment_are_of_one_clock() -> None:
+    gate = SourceGate(TIMEOUT_NS)
+    _stamped(gate, 0, 0)
+    assert _stamped(gate, 0, MS)[5:] == ("joy", True)
+
+
+def test_a_clock_is_trusted_as_long_as_it_drifts_by_no_more_than_the_timeout() -> None:
+    gate = SourceGate(TIMEOUT_NS)
+    _stamped(gate, 0, 0)
+    assert _stamped(gate, 400 * SECOND, 0)[5:] == ("joy", True)  # 500 ppm of 400 s are 0.2 s
+
+
+def test_a_sender_without_a_name_begins_like_any_other() -> None:
+    gate = SourceGate(TIMEOUT_NS)
+    assert _stamped(gate, SECOND, 0, sender=None)[5:] == (None, False)
+    gate = SourceGate(TIMEOUT_NS)
+    for received_ns, sequence in ((1, None), (2, 0), (3, 1)):
+        assert isinstance(gate.admit(_command(received_ns, sequence=sequence, sender=None), None), TwistCommand)
 
 
 @pytest.mark.parametrize("ppm", [-DRIFT_PPM, -100, 100, DRIFT_PPM])

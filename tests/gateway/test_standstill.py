@@ -1,7 +1,10 @@
 """Rest: what is measured must stand for a while; only where nothing is measured does time count instead."""
 
-from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS, ROLL_NS, Standstill
+from gateway.core.standstill import Standstill
 
+REST_DWELL_NS = 250_000_000
+ROLL_NS = 100_000_000
+REST_TIMEOUT_NS = 4_000_000_000
 START_NS = 7_000_000_000
 
 
@@ -60,3 +63,28 @@ def test_standing_is_unknown_where_too_few_wheels_report() -> None:
     for turning, measurable, standing in ((False, True, True), (False, False, None), (True, False, False)):
         standstill.measure(turning=turning, measurable=measurable, now_ns=0)
         assert standstill.standing is standing
+
+
+def test_every_stretch_counts_from_its_beginning() -> None:
+    for turning, rested_ns, rolls in (
+        (False, REST_DWELL_NS, False),
+        (None, REST_TIMEOUT_NS + 1, False),
+        (True, None, True),
+    ):
+        standstill = watch(turning)
+        for now_ns in range(START_NS, START_NS + 5_000_000_000, 50_000_000):
+            standstill.measure(turning=turning, measurable=turning is not None, now_ns=now_ns)
+            standstill.command(braking=True, now_ns=now_ns)
+        assert standstill.rested(START_NS + (rested_ns or REST_TIMEOUT_NS)) is (rested_ns is not None)
+        assert standstill.rolls(START_NS + ROLL_NS) is rolls
+
+
+def test_before_the_first_measurement_nothing_is_known() -> None:
+    standstill = Standstill()
+    assert standstill.standing is None
+    assert not standstill.rolls(START_NS)
+    standstill.measure(turning=False, measurable=True, now_ns=START_NS)
+    assert not standstill.rested(START_NS + REST_DWELL_NS), "nobody asked it to brake"
+    standstill = Standstill()
+    standstill.command(braking=True, now_ns=START_NS)
+    assert not standstill.rested(START_NS + 100 * REST_TIMEOUT_NS)

@@ -1,31 +1,39 @@
-"""What is mutated, and the test files that must notice, cheapest first.
+"""What is mutated, and the test files that must notice: those of the module itself first, then cheapest first.
 
 The golden sessions and the replay laws are not among them: they notice that something changed, not that a rule broke.
 """
 
-_RULES = ("tests/gateway/test_supervisor.py", "tests/gateway/test_limits.py", "tests/gateway/test_parts.py")
+_GATEWAY, _DRIVERS, _REPLAY = "tests/gateway/test_", "tests/drivers/test_", "tests/replay/test_"
+
 _CORE = (
-    *(*_RULES, "tests/replay/test_closed_loop.py", "tests/replay/test_sim_robot.py"),
-    *("tests/gateway/test_source_gate.py", "tests/test_safety.py", "tests/gateway/test_engine.py"),
+    *(f"{_GATEWAY}{name}.py" for name in ("health", "commands", "parts", "odometry", "estop_latch")),
+    *(f"{_REPLAY}{name}.py" for name in ("closed_loop", "sim_robot")),
+    *(f"{_GATEWAY}{name}.py" for name in ("engine_rules", "detection_figures", "engine")),
+    *("tests/test_safety.py", "tests/test_laws.py"),
 )
-_DRIVERS = ("tests/drivers/test_vectors.py", "tests/drivers/test_contract.py", "tests/drivers/test_dbc.py")
-_DJI = ("tests/drivers/test_dji.py", *_DRIVERS, "tests/replay/test_sim_dji.py")
+_WIRE = tuple(f"{_DRIVERS}{name}.py" for name in ("vectors", "dbc", "contract"))
+_DJI = (f"{_DRIVERS}dji.py", f"{_REPLAY}sim_dji.py", *_WIRE, f"{_DRIVERS}stop_frames.py")
 _ODRIVE = (
-    *("tests/drivers/test_odrive.py", "tests/drivers/test_odrive_bringup.py", *_DRIVERS),
-    *("tests/replay/test_sim_odrive.py", "tests/replay/test_sim_odrive_faults.py"),
+    *(f"{_DRIVERS}odrive_bringup.py", f"{_DRIVERS}odrive.py"),
+    *(f"{_REPLAY}sim_odrive_faults.py", f"{_REPLAY}sim_odrive.py", *_WIRE, f"{_DRIVERS}stop_frames.py"),
 )
 
+
+def _core(name: str) -> tuple[str, ...]:
+    return (f"{_GATEWAY}{name}.py", *(file for file in _CORE if file != f"{_GATEWAY}{name}.py"))
+
+
 TARGETS: dict[str, tuple[str, ...]] = {
-    "gateway/core/supervisor.py": _CORE,
-    "gateway/core/engine.py": _CORE,
-    "gateway/core/health.py": _CORE,
-    "gateway/core/detectors.py": _CORE,
-    "gateway/core/joint_trust.py": _CORE,
-    "gateway/core/standstill.py": _CORE,
-    "gateway/core/motors.py": _CORE,
-    "gateway/core/arbiter.py": _CORE,
-    "gateway/edges/source_gate.py": _CORE,
-    "gateway/control/limits.py": _CORE,
+    "gateway/core/supervisor.py": _core("supervisor"),
+    "gateway/core/engine.py": _core("engine_rules"),
+    "gateway/core/health.py": _core("health"),
+    "gateway/core/detectors.py": _core("detectors"),
+    "gateway/core/joint_trust.py": _core("joint_trust"),
+    "gateway/core/standstill.py": _core("standstill"),
+    "gateway/core/motors.py": _core("motors"),
+    "gateway/core/arbiter.py": _core("commands"),
+    "gateway/edges/source_gate.py": _core("source_gate"),
+    "gateway/control/limits.py": _core("limits"),
     "drivers/dji.py": _DJI,
     "drivers/odrive/group.py": _ODRIVE,
     "drivers/odrive/axis.py": _ODRIVE,

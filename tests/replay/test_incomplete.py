@@ -229,6 +229,7 @@ def test_a_difference_outranks_what_is_missing(world: World, tmp_path: Path) -> 
     assert verdict.problem is not None
 
 
+@pytest.mark.pure_python
 def test_a_core_that_breaks_on_a_recorded_cycle_answers_differently(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
