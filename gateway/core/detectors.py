@@ -1,4 +1,4 @@
-"""What a motor's own numbers say against it: five detectors, each blind to what the others see.
+"""What a motor's own numbers say against it: four detectors, each blind to what the others see.
 
 How this works
 --------------
@@ -9,7 +9,6 @@ Each cycle a motor is a `Sample`; each detector looks at the samples of one moto
 | frozen encoder | the very same position again and again, where the wheel must be turning | a wheel at rest |
 | runaway | moves on beyond its setpoint, faster and faster: a wrong sign | an impact, a slope, a lag |
 | following | far from its setpoint with torque to spare | torque at its limit: that is overload, no fault |
-| twin | positions that jump to and fro: two controllers answer as one id | one jump |
 Slip is no fault of a motor and is seen from all wheels together (`SlipDetector`).
 Only samples that are new count where a position is compared: a lost frame is no standing wheel.
 """
@@ -44,11 +43,6 @@ RUNAWAY_RATE = 0.8  # top speeds per second; a slope or a push is slower
 FOLLOWING_TOLERANCE = 0.3  # of top speed
 FOLLOWING_TIME = 0.5  # s
 
-TWIN_JUMPS = 5  # within about TWIN_MEMORY
-TWIN_MEMORY = 1.0  # s
-TWIN_WAY = 0.03  # rad; nearer is noise
-TWIN_ACCELERATION = 10.0  # top speeds per second that a wheel may really take between two samples
-
 
 class Sample(NamedTuple):
     """One motor in one cycle, at its output. `expected`: its speed as the other wheels have it."""
@@ -75,7 +69,7 @@ class Limits(NamedTuple):
 
 
 class Detector(Protocol):
-    """One of the five, for one motor."""
+    """One of the four, for one motor."""
 
     def look(self, x: Sample) -> str | None:
         """Take the sample of a cycle; what is wrong, in words, once that is sure."""
@@ -225,36 +219,6 @@ class FollowingDetector:
         if self._time < FOLLOWING_TIME:
             return None
         return f"turns at {x.speed:.2f} rad/s where {x.setpoint:.2f} rad/s is commanded"
-
-
-class TwinDetector:
-    """Positions that keep jumping to and fro."""
-
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self._before: tuple[float, float] | None = None  # position and speed of the last new sample
-        self._time = 0.0
-        self._jumps = 0.0
-
-    def look(self, x: Sample) -> str | None:
-        if x.position is None or x.speed is None:
-            self._before = None
-            return None
-        self._time += x.dt
-        self._jumps *= max(0.0, 1.0 - x.dt / TWIN_MEMORY)
-        if not x.fresh:
-            return None
-        before, self._before = self._before, (x.position, x.speed)
-        time, self._time = self._time, 0.0
-        if before is None:
-            return None
-        gap = abs(x.position - before[0] - 0.5 * (x.speed + before[1]) * time)
-        if gap <= TWIN_WAY + 0.5 * TWIN_ACCELERATION * self._limits.speed * time * time:
-            return None
-        self._jumps += 1.0
-        if self._jumps < TWIN_JUMPS:
-            return None
-        return "its position keeps jumping: two controllers may answer as this id"
 
 
 class SlipDetector:

@@ -14,6 +14,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.contract import MotorFeedback, MotorState
+from drivers.twins import CODE as ID_TWIN
 from gateway.core import detectors
 from gateway.core.detectors import Detector, Limits, Sample
 
@@ -37,11 +38,11 @@ class FaultKind(Enum):
 
 DETECTORS: dict[FaultKind, Callable[[Limits], Detector]] = {
     FaultKind.RUNAWAY: detectors.RunawayDetector,
-    FaultKind.TWIN: detectors.TwinDetector,
     FaultKind.FROZEN: detectors.FrozenEncoderDetector,
     FaultKind.STALL: detectors.StallDetector,
     FaultKind.FOLLOWING: detectors.FollowingDetector,
 }
+TOLD: dict[str, FaultKind] = {ID_TWIN: FaultKind.TWIN}  # what drivers tell by these codes; else it is MOTOR
 STILL_BRAKING = frozenset({FaultKind.STALL, FaultKind.FOLLOWING})  # not to be driven, but on a slope it must hold
 BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN})  # a controller that misreads its shaft cannot even brake it
 
@@ -153,7 +154,7 @@ class HealthMonitor:
         self._begin(index)
         name = self._names[index]
         if motor.fault is not None:
-            return Fault(FaultKind.MOTOR, name, motor.fault.text, motor.fault.latched)
+            return Fault(TOLD.get(motor.fault.code, FaultKind.MOTOR), name, motor.fault.text, motor.fault.latched)
         if motor.state is MotorState.SILENT:
             age = "never heard" if motor.age_ns is None else f"silent for {motor.age_ns * 1e-9:.2f} s"
             return Fault(FaultKind.SILENT, name, motor.silence or age, latched=False)

@@ -14,7 +14,6 @@ from gateway.core.detectors import (
     Sample,
     SlipDetector,
     StallDetector,
-    TwinDetector,
 )
 
 DT = 1 / 256  # s; exact in binary, so that sums of it are
@@ -173,27 +172,6 @@ def test_an_impact_or_a_lag_is_no_runaway() -> None:
 def test_a_single_sample_over_much_time_is_no_runaway() -> None:
     samples = [x._replace(dt=0.02) for x in growing(6.0, cycles=10)]
     assert trips(RunawayDetector(LIMITS), samples) == 7  # six in a row
-
-
-def jumping(way: float) -> list[Sample]:
-    return [sample(position=way * (cycle % 2)) for cycle in range(20)]
-
-
-def test_twin() -> None:
-    least = 0.03 + 0.5 * 10.0 * LIMITS.speed * DT * DT
-    assert trips(TwinDetector(LIMITS), jumping(1.01 * least)) == 7  # the first has nothing before it, and all fade
-    assert trips(TwinDetector(LIMITS), jumping(0.99 * least)) is None
-    assert trips(TwinDetector(LIMITS), [x._replace(position=None) for x in jumping(1.0)]) is None
-    assert trips(TwinDetector(LIMITS), [x._replace(speed=None) for x in jumping(1.0)]) is None
-    assert trips(TwinDetector(LIMITS), [x._replace(fresh=False) for x in jumping(1.0)]) is None
-
-
-def test_few_jumps_or_rare_ones_and_steady_motion_are_no_twin() -> None:
-    few = [*jumping(1.0)[:5], *[sample(position=0.0)] * LONG]
-    rare = [sample(position=float(cycle // 100 % 2)) for cycle in range(LONG)]
-    turning = [sample(speed=20.0, position=20.0 * DT * cycle) for cycle in range(LONG)]
-    for samples in (few, rare, turning):
-        assert trips(TwinDetector(LIMITS), samples) is None
 
 
 def test_slip_has_a_delay_and_a_hysteresis() -> None:
