@@ -106,7 +106,7 @@ class Engine:
         dt = self._elapsed(now_ns)
         self._receive(inputs)
         estimate = self._measure(now_ns, dt)
-        health = self._judge(now_ns, dt)
+        health = self._judge(now_ns, dt, redundant=estimate is not None and estimate.residual is not None)
         selection = self._arbiter.select(now_ns)
         replies, granted = self._answer(inputs)
         self._decide(inputs, health, selection, granted=granted)
@@ -210,7 +210,7 @@ class Engine:
 
     # judge and decide
 
-    def _judge(self, now_ns: int, dt: float) -> Health:
+    def _judge(self, now_ns: int, dt: float, *, redundant: bool) -> Health:
         motors = self._motors
         return self._health.assess(
             motors.feedback,
@@ -218,6 +218,7 @@ class Engine:
             others=self._other_faults(),
             out_of_reach=motors.on_buses(tuple(self._buses_down)) if self._buses_down else (),
             energised=self._energised,
+            redundant=redundant,
             now_ns=now_ns,
         )
 
