@@ -12,6 +12,7 @@ PACKAGES = ("drivers", "gateway", "replay")
 EDGES = {
     "gateway/edges/can_adapter.py",
     "gateway/edges/can_bus.py",
+    "gateway/can_thread.py",
     "gateway/client.py",
     "gateway/edges/estop_latch.py",
     "gateway/edges/claims.py",
