@@ -10,20 +10,21 @@ import pytest
 
 from drivers.contract import MotorFeedback
 from gateway.config import parse
+from gateway.control.drive_law import Measured, Motion, SpeedLaw
 from gateway.control.limits import TwistLimiter
 from gateway.core import engine, health, supervisor
 from gateway.core.arbiter import Arbiter
 from gateway.core.engine import Engine
-from gateway.core.health import Fault, Health, HealthMonitor
+from gateway.core.health import Fault, HealthMonitor
 from gateway.core.joint_trust import JointTrust
 from gateway.core.standstill import Standstill
-from gateway.kinematics.contract import Estimate
 from gateway.types import ZERO_TWIST, Mode, Twist, TwistCommand
 from replay.drive.scenario_file import Scenario
 from tests.laws import ALL_LAWS
 from tests.random_drives import Driven, judge
 from tests.world import robot_text
 
+pytestmark = pytest.mark.pure_python
 GROWS, LET_GO, ZERO, STEPS, IDLE, REST = ALL_LAWS
 Patch = pytest.MonkeyPatch
 Entry = dict[str, Any]
@@ -135,20 +136,18 @@ def stop_at_once(patch: Patch) -> None:
 
 def release_the_proportion(patch: Patch) -> None:
     """Without the joint angle the wheels are stopped dead."""
-    patch.setattr(Engine, "_in_proportion", lambda self: [0.0] * len(self._names))
+    patch.setattr(SpeedLaw, "_in_proportion", lambda self, setpoint: [0.0] * len(self._top_speeds))
 
 
 def see_again_at_once(patch: Patch) -> None:
     """An angle that comes back while braking is used at once."""
-    limit = Engine._limit
+    motion = SpeedLaw.motion
 
-    def limiting(
-        self: Engine, target: Twist, estimate: Estimate | None, health: Health, dt: float
-    ) -> tuple[list[float], tuple[str, ...]]:
+    def seeing(self: SpeedLaw, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
         self._blind = False
-        return limit(self, target, estimate, health, dt)
+        return motion(self, setpoint, measured, braking=braking)
 
-    patch.setattr(Engine, "_limit", limiting)
+    patch.setattr(SpeedLaw, "motion", seeing)
 
 
 def fall_back_in_one_step(patch: Patch) -> None:

@@ -24,7 +24,7 @@ from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
 from gateway.core.detectors import SlipDetector
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
-from gateway.core.joint_trust import JointTrust
+from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
@@ -218,6 +218,7 @@ class Engine:
             others=self._other_faults(measured),
             out_of_reach=motors.on_buses(tuple(self._buses_down)) if self._buses_down else (),
             energised=self._energised,
+            redundant=measured.estimate is not None and measured.estimate.residual is not None,
             now_ns=measured.now_ns,
         )
 
@@ -226,7 +227,7 @@ class Engine:
         faults = [Fault(FaultKind.BUS, bus, text, latched=False) for bus, text in self._buses_down.items()]
         for index, why in self._trust.unknown.items():
             if measured.positions[index] is not None:
-                text = f"joint angle unknown ({why}): drivegate reference {self._robot_name}"
+                text = f"{UNKNOWN} ({why}): drivegate reference {self._robot_name}"
                 faults.append(Fault(FaultKind.POSITION_UNKNOWN, self._names[index], text, latched=False))
         return faults
 
@@ -261,7 +262,7 @@ class Engine:
         if command is not None:
             return f"{command.source} commands motion; commands must be zero"
         for index, why in self._trust.unknown.items():
-            return f"{self._names[index]}: joint angle unknown ({why}): reference it first"
+            return f"{self._names[index]}: {UNKNOWN} ({why}): reference it first"
         return self._refusal_while_moving()
 
     def _refusal_while_moving(self) -> str | None:
