@@ -14,9 +14,9 @@ after `measure`, degraded driving inside the kinematics (fewer rows) and the lim
 """
 
 from collections.abc import Sequence
-from math import cos, sin
 
 from drivers.contract import CanFrame, MotorState
+from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess
@@ -353,7 +353,7 @@ class Engine:
         if command.frame is TwistFrame.BODY:
             return command.twist
         vx, vy, wz = command.twist
-        c, s = cos(self._odometry.pose.theta), sin(self._odometry.pose.theta)
+        s, c = sin_cos(self._odometry.pose.theta)
         return Twist(c * vx + s * vy, c * vy - s * vx, wz)
 
     def _limit(self, target: Twist, measured: Measured, health: Health) -> Motion:
@@ -394,8 +394,8 @@ class Engine:
         size = excess(setpoint, top)
         if size == 0.0:
             return
-        square = sum((s / limit) ** 2 for s, limit in zip(setpoint, top, strict=True))
-        along = sum(s * m / limit**2 for s, m, limit in zip(setpoint, measured, top, strict=True)) / square
+        scaled = [s / limit for s, limit in zip(setpoint, top, strict=True)]
+        along = dot(scaled, [m / limit for m, limit in zip(measured, top, strict=True)]) / dot(scaled, scaled)
         bound = max(along, 0.0) * size + SLACK
         if bound < size:
             self._limiter.scale(max(bound, size - RETREAT * dt, 0.0) / size)

@@ -6,8 +6,9 @@ Where a gyro tells the heading, the turn is the gyro's and the wheels tell the w
 """
 
 from collections.abc import Sequence
-from math import cos, remainder, sin, tau
+from math import remainder, tau
 
+from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Kinematics
 from gateway.types import ZERO_TWIST, Odometry, Pose, Twist
 
@@ -24,7 +25,7 @@ _SLIP_CORRELATION = 1.0  # s; a slip goes on for about so long, so its error add
 _SLIP_LEVER = 0.25  # m; turns an unexplained rim speed into a yaw rate error
 _LONGEST_GAP = 0.1  # s; a controller that reports more rarely counts as silent anyway
 _JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
-_SMALL_ANGLE = 1e-6
+_SMALL_ANGLE = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
 
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
 # Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
@@ -36,11 +37,14 @@ def advance(pose: Pose, delta: Twist) -> Pose:
     """The pose after a body displacement (m, m, rad) along the exact arc of constant velocity (SE(2) exponential)."""
     dx, dy, turn = delta
     if abs(turn) < _SMALL_ANGLE:
-        along, across = 1.0 - turn * turn / 6.0, turn / 2.0
+        square = turn * turn
+        along = 1.0 + square * (-1 / 6 + square / 120.0)
+        across = turn * (0.5 + square * (-1 / 24 + square / 720.0))
     else:
-        along, across = sin(turn) / turn, (1.0 - cos(turn)) / turn
+        s, c = sin_cos(turn)
+        along, across = s / turn, (1.0 - c) / turn
     forward, left = along * dx - across * dy, across * dx + along * dy
-    c, s = cos(pose.theta), sin(pose.theta)
+    s, c = sin_cos(pose.theta)
     return Pose(pose.x + c * forward - s * left, pose.y + s * forward + c * left, pose.theta + turn)
 
 

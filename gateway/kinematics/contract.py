@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from gateway.kinematics.linear import Matrix
 from gateway.types import Twist
 
-Matrix = npt.NDArray[np.float64]
 MAX_CONDITION = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
 
 
