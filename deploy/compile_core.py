@@ -19,8 +19,8 @@ COMPILED = (
     "gateway/core",
     "gateway/kinematics",
     "gateway/control",
-    "gateway/arithmetic.py",
     "gateway/types.py",
+    "gateway/arithmetic.py",
 )
 GROUP = "drivegate"  # its shared part becomes drivegate__mypyc
 # Compilers for ARM fuse a * b + c into one rounding unless told not to: the last bit would differ from other machines.

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("drivers", "gateway", "replay")
 GROUND = (
     "gateway/arithmetic.py",
+    "gateway/build.py",
     "gateway/types.py",
     "gateway/build.py",
     "gateway/config.py",

@@ -136,12 +136,6 @@ def test_brakes_in_time_where_a_curve_meets_a_ramp_too_short_for_full_accelerati
     assert brakes_in_time(Twist(1, 1, 1), Twist(2, 2, 3), Twist(1, 1, 1), Twist(1, 1, 1), 0.004)
 
 
-def test_the_delay_of_turning_is_that_of_its_share() -> None:
-    """Written out in the code, because atanh is not the same on every CPU."""
-    assert pytest.approx(atanh(sqrt(0.7)) / sqrt(0.7), rel=1e-15) == _TURNING_DELAY
-    assert TURNING_SHARE == 0.7
-
-
 # figures by hand
 
 TOP, ACCELERATION = Twist(10, 10, 10), Twist(2, 4, 8)
@@ -334,3 +328,9 @@ def test_brakes_a_rate_of_all_axes(signs: tuple[int, int, int]) -> None:
     moving.step(Twist(0.1, -0.1 * signs[1], -0.2 * signs[2]), 0.1)
     for vx, vy, wz in ((0.36850507, 0.54488356, 0.45039508), (0.33701014, 0.49831413, 0.41190128)):
         assert moving.brake(0.1) == pytest.approx((vx, vy * signs[1], wz * signs[2]))
+
+
+def test_the_delay_of_turning_is_that_of_its_share() -> None:
+    """Written out in the code, because atanh is not the same on every CPU."""
+    assert pytest.approx(atanh(sqrt(0.7)) / sqrt(0.7), rel=1e-15) == _TURNING_DELAY
+    assert TURNING_SHARE == 0.7
