@@ -14,7 +14,6 @@ GROUND = (
     "gateway/arithmetic.py",
     "gateway/build.py",
     "gateway/types.py",
-    "gateway/build.py",
     "gateway/config.py",
     "gateway/robot_files.py",
     "gateway/__init__.py",
