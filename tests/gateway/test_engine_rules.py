@@ -803,3 +803,31 @@ def test_category_2_holds_after_an_emergency_stop_only() -> None:
     stand.run(3.0, FORWARD)
     assert stand.is_in(FAULT)
     assert not stand.engine._energised
+
+
+def test_nothing_starts_while_a_motor_is_waited_for_that_was_out_of_reach() -> None:
+    stand = Stand("moby")
+    stand.cycle(ms=3000.0)
+    stand.motors.states = [SILENT] * 3
+    stand.cycle(bus=BusEventKind.DOWN)
+    stand.motors.states[0] = OPERATIONAL
+    assert stand.cycle(ZERO_TWIST, bus=BusEventKind.UP).mode is IDLE
+    assert stand.engine._other_faults() == []
+    stand.motors.states = [OPERATIONAL] * 3
+    assert stand.cycle(ZERO_TWIST).mode is STARTING
+
+
+def test_a_reset_on_the_way_to_rest_gives_no_motor_back() -> None:
+    stand = Stand("moby")
+    stand.drive()
+    stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "left", "runs away", latched=True))
+    assert stand.cycle(FORWARD).mode is FAULT
+    assert stand.is_released()
+    stand.run(0.02)
+    assert stand.reply(RequestKind.RESET, twist=ZERO_TWIST) is None
+    stand.run(0.1)
+    assert stand.is_in(FAULT), "it has not rested long enough"
+    while stand.is_in(FAULT):
+        assert stand.is_released()
+        stand.cycle()
+    assert stand.is_in(IDLE)
