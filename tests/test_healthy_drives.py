@@ -49,6 +49,7 @@ class Follower:
         self._name = name
         self.wheels = [0.0] * len(TOP_SPEEDS[name])
         self.body = [0.0] * 3
+        self.limits: set[str] = set()  # that were at work
         self._told: deque[tuple[float, ...]] = deque(maxlen=STANDS)
 
     def drive(self, seconds: float, twist: Twist) -> None:
@@ -72,6 +73,8 @@ class Follower:
         self.wheels = list(map(max, self.wheels, wheels_off(self._name, outputs)))
         truth = self.world.bus.robot.truth.twist
         self.body = list(map(max, self.body, off(truth, setpoint, VELOCITY[self._name])))
+        if outputs.status is not None:
+            self.limits.update(outputs.status.limits_active)
         return False
 
 
@@ -91,6 +94,7 @@ def test_a_healthy_robot_follows_hard_changes(
     world = follower.world
     assert world.is_in(Mode.DRIVE)
     assert [code for code in world.codes() if code.startswith("fault")] == []
+    assert "torque" not in follower.limits, "its limits ask no more than its motors have"
     assert max(follower.wheels) <= OFF_WHEEL
     assert all(found <= bound for found, bound in zip(follower.body, OFF_BODY[name], strict=True)), follower.body
     assert max(off(world.bus.robot.truth.twist, world.last.trace.setpoint, top)) <= SETTLED
