@@ -66,7 +66,7 @@ class OmniKinematics:
             solution = self._solution(measured)
             known = [speed for speed in speeds if speed is not None]
         else:
-            solution, known = self._solutions[self._all], cast("list[float]", speeds)
+            solution, known = self._solutions[self._all], cast("Sequence[float]", speeds)
         if solution is None:
             return None
         vx = vy = wz = 0.0
