@@ -52,7 +52,7 @@ def test_a_bit_of_the_arithmetic_is_seen(drive: World, monkeypatch: pytest.Monke
     assert found.first_difference is not None
 
 
-JUDGEMENT = Judgement("moby", "aarch64", 9, None, "ab" * 32, "cd")
+JUDGEMENT = Judgement("moby", "aarch64", "pure Python core", 9, None, "ab" * 32, "cd")
 
 
 @pytest.mark.parametrize(
