@@ -716,7 +716,7 @@ def test_only_arming_that_takes_too_long_is_blamed_on_who_did_not_arm(why: str) 
         stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "front_left", "runs", latched=True))
         stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "rear_left", "runs", latched=True))
         assert stand.cycle(ZERO_TWIST).mode is FAULT
-    kinds = {fault.kind for fault in stand.engine._judge(stand.now_ns, 0.0).faults}
+    kinds = {fault.kind for fault in stand.engine._judge(stand.engine._measured).faults}
     assert FaultKind.ARMING not in kinds
 
 
@@ -736,7 +736,7 @@ def health(*, obeying: Sequence[bool] = (True,) * 4) -> Health:
 def test_a_setpoint_on_its_way_to_rest(estimate: Estimate | None, obeying: bool, setpoint: float) -> None:
     engine = Stand("omni4").engine
     engine._limiter.reset(Twist(1.0, 0.0, 0.0))
-    engine._brake(estimate, health(obeying=(obeying,) * 4), 0.004)
+    engine._brake(engine._measured._replace(estimate=estimate, dt=0.004), health(obeying=(obeying,) * 4))
     assert engine._limiter.setpoint.vx == pytest.approx(setpoint, rel=1e-6)
 
 
@@ -790,7 +790,7 @@ def test_nothing_starts_while_a_motor_is_waited_for_that_was_out_of_reach() -> N
     stand.cycle(bus=BusEventKind.DOWN)
     stand.motors.states[0] = OPERATIONAL
     assert stand.cycle(ZERO_TWIST, bus=BusEventKind.UP).mode is IDLE
-    assert stand.engine._other_faults() == []
+    assert stand.engine._other_faults(stand.engine._measured) == []
     stand.motors.states = [OPERATIONAL] * 3
     assert stand.cycle(ZERO_TWIST).mode is STARTING
 
