@@ -22,7 +22,7 @@ ROOMS: dict[str, set[str]] = {
     "gateway/control": {"ground"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "gateway/core"},
-    "gateway/recording": {"drivers", "ground", "gateway/edges"},
+    "gateway/recording": {"drivers", "ground", "gateway/core", "gateway/edges"},
     "entrance": {"drivers", "ground", "gateway/control", "gateway/core", "gateway/edges"},
     "replay": set(),
     "replay/sim/controllers": {"drivers", "ground"},

@@ -20,10 +20,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from drivers.contract import CanFrame, DecodedFrame
+from drivers.contract import CanFrame
 from gateway.config import parse
-from gateway.core.assembly import Robot, build
 from gateway.core.engine import Engine
+from gateway.core.frame_words import FrameWords, fields, raw
 from gateway.types import Inputs, Outputs
 from replay.sessions.reader import RecordedOutputs, Session
 
@@ -87,7 +87,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
     Raises ConfigError if this version of the software refuses the recorded robot file.
     """
     config = parse(session.config_text, "robot file of the session")
-    engine, robot = Engine(config), build(config)
+    engine, words = Engine(config), FrameWords(config)
     started_ns = time.perf_counter_ns()
     cycles = frames = 0
     first_ns = last_ns = None
@@ -95,7 +95,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
     for inputs, recorded in session.cycles():
         if inputs.cycle != cycles:
             break
-        difference = _step(engine, robot, inputs, recorded)
+        difference = _step(engine, words, inputs, recorded)
         cycles += 1
         frames += len(recorded.frames)
         first_ns, last_ns = first_ns or inputs.now_ns, inputs.now_ns
@@ -127,13 +127,13 @@ def _exit_code(difference: Difference | None, cycles: int, *, complete: bool, pr
     return EXIT_INCOMPLETE if cycles or pruned else EXIT_NOT_REPLAYABLE
 
 
-def _step(engine: Engine, robot: Robot, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:
+def _step(engine: Engine, words: FrameWords, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:
     """One cycle; a core that breaks on what it once answered, as it may on damaged inputs, answers differently."""
     try:
         outputs = engine.step(inputs)
     except _CRASHES as error:
         return Difference(inputs.cycle, None, "answer", f"{len(recorded.frames)} frames", f"exception {error!r}")
-    return None if _same(outputs, recorded) else _difference(inputs.cycle, robot, outputs, recorded)
+    return None if _same(outputs, recorded) else _difference(inputs.cycle, words, outputs, recorded)
 
 
 def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
@@ -146,10 +146,10 @@ def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
     )
 
 
-def _difference(cycle: int, robot: Robot, outputs: Outputs, recorded: RecordedOutputs) -> Difference:
+def _difference(cycle: int, words: FrameWords, outputs: Outputs, recorded: RecordedOutputs) -> Difference:
     """The first thing that differs, frames before words: they are what moves the robot."""
     if outputs.frames != recorded.frames:
-        return _frame_difference(cycle, robot, recorded.frames, outputs.frames)
+        return _frame_difference(cycle, words, recorded.frames, outputs.frames)
     for field in ("mode", "odometry", "events", "replies"):
         before, after = getattr(recorded, field), getattr(outputs, field)
         if before != after:
@@ -159,41 +159,30 @@ def _difference(cycle: int, robot: Robot, outputs: Outputs, recorded: RecordedOu
 
 
 def _frame_difference(
-    cycle: int, robot: Robot, recorded: Sequence[CanFrame], replayed: Sequence[CanFrame]
+    cycle: int, words: FrameWords, recorded: Sequence[CanFrame], replayed: Sequence[CanFrame]
 ) -> Difference:
     for before, after in zip(recorded, replayed, strict=False):
         if before != after:
-            return _field_difference(cycle, robot, before, after)
+            return _field_difference(cycle, words, before, after)
     if len(recorded) > len(replayed):
         frame = recorded[len(replayed)]
-        return Difference(cycle, _words(robot, frame)[0], "frame", _words(robot, frame)[1], "no such frame")
+        return Difference(cycle, _words(words, frame)[0], "frame", _words(words, frame)[1], "no such frame")
     frame = replayed[len(recorded)]
-    return Difference(cycle, _words(robot, frame)[0], "frame", "no such frame", _words(robot, frame)[1])
+    return Difference(cycle, _words(words, frame)[0], "frame", "no such frame", _words(words, frame)[1])
 
 
-def _field_difference(cycle: int, robot: Robot, before: CanFrame, after: CanFrame) -> Difference:
-    one, other = _decode(robot, before), _decode(robot, after)
+def _field_difference(cycle: int, words: FrameWords, before: CanFrame, after: CanFrame) -> Difference:
+    one, other = words.decode(before), words.decode(after)
     if one is not None and other is not None and one[:2] == other[:2]:
         owners = one.owners or (one.motor,) * len(one.fields)
         for motor, (field, value), (_, changed) in zip(owners, one.fields, other.fields, strict=True):
             if value != changed:
                 return Difference(cycle, motor, f"{one.message}.{field}", str(value), str(changed))
-    return Difference(cycle, _words(robot, before)[0], "frame", _words(robot, before)[1], _words(robot, after)[1])
+    return Difference(cycle, _words(words, before)[0], "frame", _words(words, before)[1], _words(words, after)[1])
 
 
-def _decode(robot: Robot, frame: CanFrame) -> DecodedFrame | None:
-    for group in robot.groups:
-        if group.bus == frame.bus:
-            decoded = group.driver.decode(frame)
-            if decoded is not None:
-                return decoded
-    return None
-
-
-def _words(robot: Robot, frame: CanFrame) -> tuple[str | None, str]:
-    raw = f"{frame.bus} {frame.id:0{8 if frame.extended else 3}X}#{frame.data.hex().upper()}"
-    decoded = _decode(robot, frame)
+def _words(words: FrameWords, frame: CanFrame) -> tuple[str | None, str]:
+    decoded = words.decode(frame)
     if decoded is None:
-        return None, raw
-    values = " ".join(f"{name}={value:g}" for name, value in decoded.fields)
-    return decoded.motor, f"{decoded.message} {values} ({raw})"
+        return None, raw(frame)
+    return decoded.motor, f"{fields(decoded)} ({raw(frame)})"
