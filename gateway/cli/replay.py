@@ -41,10 +41,12 @@ def verify(
     Exit 0: identical, and the recording is provably complete. Exit 1: different, complete or not. Exit 2: it cannot be
     replayed at all (no session, no cycles, no beginning, a robot file that is refused). Exit 3: identical as far as it
     goes, but the recording is incomplete: cycles lost or cut out, a segment unclosed, missing or damaged, the end
-    missing, or the beginning deleted by recording.disk_budget or min_free (then nothing is compared).
+    missing, or the beginning deleted by recording.disk_budget or min_free. Behind what is missing the comparison goes
+    on from the next snapshot of the core, of which the recording has one every five seconds.
 
-    --json: identical (true with exit 0 only), complete, cycles and frames compared, realtime_ratio, first_difference
-    (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or null), exit_code.
+    --json: identical (true with exit 0 only), complete, cycles and frames compared, unseen (cycles that could not be),
+    realtime_ratio, first_difference (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or
+    null), refused (why a snapshot was of no use, or null), exit_code.
     """
     try:
         verdict = verify_with_progress(open_session(session))
@@ -204,3 +206,7 @@ def show(verdict: Verdict) -> None:
         console.print("[yellow]not replayable[/]: nothing could be compared")
     if verdict.problem is not None:
         console.print(f"  the recording: {verdict.problem}", highlight=False)
+    if verdict.unseen:
+        console.print(f"  not compared: {verdict.unseen} cycles that no snapshot leads to", highlight=False)
+    if verdict.refused is not None:
+        console.print(f"  a snapshot was of no use: {verdict.refused}", highlight=False)

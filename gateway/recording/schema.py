@@ -273,6 +273,11 @@ BLOCK_PATH = "/cycles"
 BLOCK_ARCHETYPE = "Cycles"
 BLOCK_COLUMNS = {"count": Kind.INT, "block": Kind.BINARY}
 
+# The state of the core after a cycle (`gateway.core.snapshot`, msgpack), from which a replay can begin. crc32: zlib.
+SNAPSHOT_PATH = "/snapshot"
+SNAPSHOT_ARCHETYPE = "Snapshot"
+SNAPSHOT_COLUMNS = {"after": Kind.INT, "state": Kind.BINARY, "crc32": Kind.INT}
+
 # For people: as rows of their own, which the viewer shows in words.
 STATUS_PATH = "/outputs/status"
 STATUS_ARCHETYPE = "Status"

@@ -17,7 +17,7 @@ import rerun.blueprint as rrb
 from gateway.recording.block import packed
 from gateway.recording.columns import Times, arrays
 from gateway.recording.disk import FILE_MODE
-from gateway.recording.packets import Gap, Record
+from gateway.recording.packets import Gap, Record, Snapshot
 from gateway.recording.schema import (
     APPLICATION_ID,
     BLOCK_ARCHETYPE,
@@ -35,6 +35,9 @@ from gateway.recording.schema import (
     SEAL_ARCHETYPE,
     SEAL_COLUMNS,
     SEAL_PATH,
+    SNAPSHOT_ARCHETYPE,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
     STATUS_ARCHETYPE,
     STATUS_COLUMNS,
     STATUS_PATH,
@@ -97,6 +100,12 @@ class Segment:
         self._send_status(records, times)
         block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
         self._recording.send_columns(BLOCK_PATH, times.at(np.zeros(1, np.int64)), block)
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """Write the state of the core from which the next batch goes on."""
+        columns = arrays(SNAPSHOT_COLUMNS, [(snapshot.cycle, snapshot.state, zlib.crc32(snapshot.state))])
+        state = rr.DynamicArchetype.columns(archetype=SNAPSHOT_ARCHETYPE, components=columns)
+        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[snapshot.cycle])], state)
 
     def _send_status(self, records: Sequence[Record], times: Times) -> None:
         said = [(place, record.outputs.status) for place, record in enumerate(records)]

@@ -5,8 +5,10 @@ reported in words: cycle, motor, field and both values, decoded by the driver th
 
 How this works
 --------------
-The core is run from cycle 0 to the first cycle that is missing; beyond that its state is not known. Only a session
-all of which is provably there (see `replay.sessions.reader`) can be called identical.
+The core is run from cycle 0 to the first cycle that is missing; beyond that its state is not known until the next
+snapshot of it, every five seconds in the recording, from where it is run on. So a single segment is compared as well,
+and what is left of a session whose beginning was deleted; recorded cycles that could not be compared are counted in
+`unseen`. Only a session all of which is provably there (see `replay.sessions.reader`) can be called identical.
 
 | what was compared | the recording is complete | it is not |
 |---|---|---|
@@ -25,6 +27,7 @@ from gateway.config import parse
 from gateway.core.engine import Engine
 from gateway.core.frame_words import FrameWords, fields, raw
 from gateway.types import Inputs, Outputs
+from replay.compare.replay import Replay
 from replay.sessions.reader import RecordedOutputs, Session
 
 PROGRESS_CYCLES = 1000
@@ -46,16 +49,19 @@ class Verdict(NamedTuple):
     """What verify found.
 
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
-    otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared.
+    otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
+    those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
     """
 
     identical: bool
     complete: bool
     cycles: int
     frames: int
+    unseen: int
     realtime_ratio: float
     first_difference: Difference | None
     problem: str | None
+    refused: str | None
     exit_code: int
 
     def as_json(self) -> dict[str, object]:
@@ -74,9 +80,11 @@ def not_replayable(problem: str) -> Verdict:
         complete=False,
         cycles=0,
         frames=0,
+        unseen=0,
         realtime_ratio=0.0,
         first_difference=None,
         problem=problem,
+        refused=None,
         exit_code=EXIT_NOT_REPLAYABLE,
     )
 
@@ -87,24 +95,21 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
     Raises ConfigError if this version of the software refuses the recorded robot file.
     """
     config = parse(session.config_text, "robot file of the session")
-    engine, words = Engine(config), FrameWords(config)
+    replay, words = Replay(config, session), FrameWords(config)
     started_ns = time.perf_counter_ns()
     cycles = frames = 0
-    first_ns = last_ns = None
     difference = None
-    for inputs, recorded in session.cycles():
-        if inputs.cycle != cycles:
-            break
-        difference = _step(engine, words, inputs, recorded)
-        cycles += 1
-        frames += len(recorded.frames)
-        first_ns, last_ns = first_ns or inputs.now_ns, inputs.now_ns
+    for done, (inputs, recorded) in enumerate(session.cycles(), start=1):
+        engine = replay.engine(inputs)
+        if engine is not None:
+            difference = _step(engine, words, inputs, recorded)
+            cycles += 1
+            frames += len(recorded.frames)
         if difference is not None:
             break
-        if progress is not None and cycles % PROGRESS_CYCLES == 0:
+        if progress is not None and done % PROGRESS_CYCLES == 0:
             progress(PROGRESS_CYCLES)
     elapsed_ns = max(time.perf_counter_ns() - started_ns, 1)
-    covered_ns = (last_ns or 0) - (first_ns or 0)
     problem = session.problem or (None if cycles else "the session holds no cycles")
     exit_code = _exit_code(difference, cycles, complete=problem is None, pruned=session.pruned)
     return Verdict(
@@ -112,9 +117,11 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
         complete=problem is None,
         cycles=cycles,
         frames=frames,
-        realtime_ratio=covered_ns / elapsed_ns,
+        unseen=replay.unseen,
+        realtime_ratio=replay.covered_ns / elapsed_ns,
         first_difference=difference,
         problem=problem,
+        refused=replay.refused,
         exit_code=exit_code,
     )
 

@@ -9,10 +9,11 @@ one sealed as final. Recordings from before there were seals are taken at the wo
 """
 
 import hashlib
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,6 +29,8 @@ from gateway.recording.schema import (
     SCHEMA_VERSION,
     SEAL_COLUMNS,
     SEAL_PATH,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
     Header,
 )
 from replay.sessions import cycles, version_1
@@ -37,7 +40,12 @@ from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
 __all__ = ["RecordedOutputs", "Session", "SessionError", "open_session"]
 
-_MARKS: Layout = {GAP_PATH: GAP_COLUMNS, HEADER_PATH: HEADER_COLUMNS, SEAL_PATH: SEAL_COLUMNS}  # in every version
+_MARKS: Layout = {
+    GAP_PATH: GAP_COLUMNS,
+    HEADER_PATH: HEADER_COLUMNS,
+    SEAL_PATH: SEAL_COLUMNS,
+    SNAPSHOT_PATH: SNAPSHOT_COLUMNS,
+}  # in every version
 PROBLEMS_SHOWN = 3
 UNMARKED = "not in the recording"
 PRUNED = "deleted to make room"
@@ -95,6 +103,7 @@ class Session:
         self._version = _VERSIONS[header.schema_version]
         self._layout = {**_MARKS, **self._version.layout}
         self._parts: dict[Path, _Part] = {}
+        self._snapshots: dict[int, bytes] = {}
 
     @property
     def config_text(self) -> str:
@@ -161,6 +170,17 @@ class Session:
                         last = inputs.cycle
                         yield inputs, outputs
 
+    def snapshot(self, cycle: int) -> dict[str, Any] | None:
+        """The state of the core after this cycle, if it was recorded there and that segment has been read."""
+        packed = self._snapshots.get(cycle)
+        if packed is None:
+            return None
+        try:
+            state: dict[str, Any] = msgspec.msgpack.decode(packed, type=dict)
+        except ValueError:
+            return None
+        return state
+
     def _values(self, window: Window, path: Path) -> list[Cycle]:
         try:
             return list(window.values())
@@ -219,6 +239,10 @@ class Session:
         if self.header.sealed and not problems:
             problems += _seal_problems(path, seal, found)
         rows = self._version.rows(tables)
+        snapshots, whole = _snapshots(tables.get(SNAPSHOT_PATH))
+        self._snapshots |= snapshots
+        if not whole:
+            problems.append("a snapshot of the core is not as it was written")
         markers = [*_markers(tables.get(GAP_PATH)), *rows.damaged]
         first = max(header.first_segment if header else 1, seal.first_segment if seal else 1)
         return rows, _Part(rows.cycle, markers, problems, first, seal)
@@ -315,6 +339,15 @@ def _markers(columns: Columns | None) -> list[Gap]:
         return []
     values = (columns[name].flatten().to_pylist() for name in GAP_COLUMNS)
     return [Gap(*row) for row in zip(*values, strict=True)]
+
+
+def _snapshots(columns: Columns | None) -> tuple[dict[int, bytes], bool]:
+    """Those that are as they were written, and whether all are."""
+    if columns is None:
+        return {}, True
+    rows = list(zip(*(columns[name].flatten().to_pylist() for name in SNAPSHOT_COLUMNS), strict=True))
+    whole = {after: state for after, state, crc32 in rows if zlib.crc32(state) == crc32}
+    return whole, len(whole) == len(rows)
 
 
 def _gaps(cycles: Integers, markers: Sequence[Gap], last_cycle: int | None) -> Iterator[Gap]:

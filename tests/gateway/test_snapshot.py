@@ -123,9 +123,7 @@ def test_of_another_software_it_is_refused_in_words() -> None:
     state = state_of()
     attributes = state["engine"]["o"][1]
     attributes["_novelty"] = 1
-    with pytest.raises(
-        SnapshotError, match=r"another version of the software: .*Engine differs in _novelty"
-    ):
+    with pytest.raises(SnapshotError, match=r"another version of the software: .*Engine differs in _novelty"):
         Engine(config, state)
     del attributes["_novelty"], attributes["_mode"]
     with pytest.raises(SnapshotError, match="Engine differs in _mode"):
