@@ -1,6 +1,8 @@
 """`drivegate replay`: what to do with a recorded session."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +16,7 @@ from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
 from gateway.edges.zenoh_session import LinkError
 from replay.compare.likeness import Comparison
+from replay.compare.retrace import columns, frames, rows
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
 from replay.compare.verify import verify as run_verify
 from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
@@ -84,8 +87,8 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
     """
     try:
         opened = open_session(session)
-        frames = _chosen(opened, bus, only)
-        played = _played(frames, interface, channel, speed, live=live)
+        chosen = _chosen(opened, bus, only)
+        played = _played(chosen, interface, channel, speed, live=live)
     except (SessionError, AdapterError, OSError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
@@ -179,6 +182,57 @@ def _show_comparison(found: Comparison) -> None:
         console.print(f"[red]different[/] {reason}", highlight=False)
     if not found.reasons:
         console.print("[green]alike[/]")
+
+
+From = Annotated[float, typer.Option("--from", help="s since the first recorded cycle.")]
+To = Annotated[float, typer.Option("--to", help="s since the first recorded cycle.")]
+
+
+@replay.command()
+def trace(
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    begin: From = 0.0,
+    end: To = inf,
+) -> None:
+    """Print setpoints, measured motion, pose and motors of every cycle as CSV, computed again from the recorded inputs.
+
+    SI, at the output; empty where something is unknown or released. Exit 0, 2 if there is nothing, 3 if the recording
+    is incomplete: behind what is missing it goes on from the next snapshot of the core.
+    """
+    with _told(session) as opened:
+        typer.echo(",".join(columns(opened)))
+        for row in rows(opened):
+            if begin <= float(row[1] or 0.0) <= end:
+                typer.echo(",".join("" if cell is None else str(cell) for cell in row))
+
+
+@replay.command()
+def can(
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    begin: From = 0.0,
+    end: To = inf,
+) -> None:
+    """Print every recorded CAN frame in words: time, rx or tx, motor, message and fields, and the frame itself.
+
+    Exit 0, 2 if there is nothing, 3 if the recording is incomplete.
+    """
+    with _told(session) as opened:
+        for told in frames(opened):
+            if begin <= told.t <= end:
+                typer.echo(f"{told.t:.6f} {'tx' if told.sent else 'rx'} {told.words}")
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[Session]:
+    """An opened session to tell of, and the exit code of having told."""
+    try:
+        opened = open_session(path)
+        yield opened
+    except (SessionError, ConfigError) as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    code = _exit_of(opened)
+    raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
 
 
 def verify_with_progress(session: Session) -> Verdict:

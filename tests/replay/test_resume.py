@@ -1,12 +1,15 @@
 """Compared is whatever a snapshot leads to: a segment of its own, what is behind a gap, what was left by pruning."""
 
+import csv
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner, Result
 
+from gateway.cli.app import build
 from gateway.core.engine import Engine
 from gateway.core.snapshot import SnapshotError
 from gateway.recording import segment
@@ -144,3 +147,42 @@ def test_an_old_segment_waits_for_a_snapshot_to_begin_the_next_one(tmp_path: Pat
     assert session.report().segment == 3
     session.close()
     assert robot_text() == open_session(session.folder).config_text
+
+
+def told(*arguments: str) -> Result:
+    return CliRunner().invoke(build("replay"), ["replay", *arguments])
+
+
+def test_the_trace_of_every_cycle_is_computed_again(session: Path, world: World) -> None:
+    lines = told("trace", str(session)).stdout.splitlines()
+    rows = list(csv.DictReader(lines))
+    assert [int(row["cycle"]) for row in rows] == list(range(CYCLES))
+    for row, (_, outputs) in zip(rows, world.records, strict=True):
+        assert row["mode"] == outputs.mode.value
+        assert float(row["x"]) == outputs.trace.pose.x
+        left = outputs.trace.wheel_speeds[0]
+        assert row["speed.left"] == ("" if left is None else repr(left))
+    cut = told("trace", str(session), "--from", "0.495", "--to", "0.605")
+    assert len(cut.stdout.splitlines()) == 1 + 11
+    assert cut.exit_code == 0
+
+
+def test_the_trace_goes_on_behind_a_gap(session: Path) -> None:
+    segment_path(session, 2).unlink()
+    found = told("trace", str(session))
+    assert found.exit_code == 3
+    cycles = [int(row["cycle"]) for row in csv.DictReader(found.stdout.splitlines())]
+    assert cycles == [*range(BATCH), *range(2 * BATCH, CYCLES)]
+
+
+def test_every_frame_is_told_in_words(session: Path, world: World) -> None:
+    found = told("can", str(session))
+    lines = found.stdout.splitlines()
+    assert found.exit_code == 0
+    assert len(lines) == sum(len(inputs.frames) + len(outputs.frames) for inputs, outputs in world.records)
+    assert any(" rx left Get_Encoder_Estimates Pos_Estimate=" in line and "(can0 029#" in line for line in lines)
+    assert any(" tx left Set_Input_Vel Input_Vel=" in line and "(can0 02D#" in line for line in lines)
+
+
+def test_of_what_is_no_session_nothing_is_told(tmp_path: Path) -> None:
+    assert told("can", str(tmp_path)).exit_code == told("trace", str(tmp_path)).exit_code == 2
