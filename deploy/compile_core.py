@@ -14,7 +14,14 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-COMPILED = ("drivers", "gateway/core", "gateway/kinematics", "gateway/control", "gateway/types.py")
+COMPILED = (
+    "drivers",
+    "gateway/core",
+    "gateway/kinematics",
+    "gateway/control",
+    "gateway/types.py",
+    "gateway/arithmetic.py",
+)
 GROUP = "drivegate"  # its shared part becomes drivegate__mypyc
 # Compilers for ARM fuse a * b + c into one rounding unless told not to: the last bit would differ from other machines.
 FLAGS = "-ffp-contract=off -g0"

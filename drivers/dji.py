@@ -5,7 +5,8 @@ How this works
 Four motors share one command frame, 0x200 for ids 1 to 4 and 0x1FF for ids 5 to 8; every slot is always written, an
 unused one with 0. So there must be one writer per command id: this driver, and nobody else on that bus. There is no
 arming, no error report and no command timeout on CAN; whether a controller holds its last command when the host
-falls silent is not documented, so assume that it does. A motor that is not heard gets current 0.
+falls silent is not documented, so assume that it does. A motor that is not heard gets current 0, and so does one whose
+id two controllers have: whose speed is told is anybody's guess.
 
 Braking without the host's speed loop (`stop_frames`) is a current against the measured speed, in proportion to it: it
 fades as the motor comes to rest, and is 0 where the speed is unknown or too small to have a sign. A controller may
@@ -25,6 +26,7 @@ from drivers.contract import (
     Capabilities,
     CommandKind,
     DecodedFrame,
+    DriverFault,
     IdUse,
     MotorCommand,
     MotorFeedback,
@@ -33,6 +35,7 @@ from drivers.contract import (
     ReceiveFilter,
     Traffic,
 )
+from drivers.twins import TwinWatch, twin_fault
 
 COMMAND_IDS = (0x200, 0x1FF)  # ids 1 to 4, ids 5 to 8; RoboMaster C610 manual, p. 8
 FEEDBACK_ID = 0x200  # + id; same manual, p. 9
@@ -84,6 +87,7 @@ class _Motor:
         "command_period_ns",
         "commanded",
         "current_raw",
+        "fault",
         "heard_ns",
         "heard_until_ns",
         "raw_limit",
@@ -95,6 +99,7 @@ class _Motor:
         "temperature_c",
         "timeout_ns",
         "total_ticks",
+        "twins",
         "variant",
     )
 
@@ -119,8 +124,10 @@ class _Motor:
         self.speed_rpm = 0
         self.current_raw = 0
         self.temperature_c: float | None = None
+        self.twins = TwinWatch(spec, turn=tau)
+        self.fault: DriverFault | None = None
 
-    def take(self, data: bytes, received_ns: int) -> bool:
+    def take(self, data: bytes, bus: str, received_ns: int) -> bool:
         """A feedback frame; False for one that no controller sends."""
         values = _feedback_values(data)
         if values is None:
@@ -139,7 +146,13 @@ class _Motor:
             self.temperature_c = float(temperature)
         self.heard_ns = received_ns
         self.heard_until_ns = received_ns + self.timeout_ns
+        if self.twins.take(angle_ticks * RAD_PER_TICK, speed_rpm * RAD_S_PER_RPM, received_ns) and self.fault is None:
+            self.fault = twin_fault(self.spec, bus)
         return True
+
+    def trusted(self, now_ns: int) -> bool:
+        """Whether it is heard, and is one."""
+        return now_ns < self.heard_until_ns and self.fault is None
 
     def raw(self, torque: float) -> int:
         """Current for a torque, within all limits."""
@@ -147,7 +160,7 @@ class _Motor:
 
     def braking_raw(self, held_ns: int, now_ns: int) -> int:
         """Current against the measured speed; `held_ns`: how long the last frame was, and so the next one may be."""
-        if now_ns >= self.heard_until_ns or self.heard_ns is None or abs(self.speed_rpm) < self.rest_rpm:
+        if not self.trusted(now_ns) or self.heard_ns is None or abs(self.speed_rpm) < self.rest_rpm:
             return 0
         longest_ns = max(self.command_period_ns, held_ns, now_ns - self.heard_ns, FULL_BRAKING_NS)
         return self._limited(-self.speed_rpm * self.braking_raw_per_rpm * FULL_BRAKING_NS / longest_ns)
@@ -161,6 +174,8 @@ class _Motor:
         if self.heard_ns is None:
             return MotorFeedback(MotorState.SILENT)
         state = MotorState.OPERATIONAL if self.commanded else MotorState.IDLE
+        if self.fault is not None:
+            state = MotorState.FAULT
         return MotorFeedback(
             state if now_ns < self.heard_until_ns else MotorState.SILENT,
             self.total_ticks * RAD_PER_TICK,
@@ -168,7 +183,7 @@ class _Motor:
             self.current_raw / self.raw_per_torque,
             None,
             self.temperature_c,
-            None,
+            self.fault,
             max(0, now_ns - self.heard_ns),
         )
 
@@ -207,7 +222,7 @@ class DjiDriver:
         motor = self._by_id.get(identifier)
         if motor is None or received_ns is None or extended or remote or bus != self._bus:
             return False
-        return motor.take(data, received_ns)
+        return motor.take(data, bus, received_ns)
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """The command frames; a motor that is not heard gets current 0."""
@@ -217,16 +232,19 @@ class DjiDriver:
             if isnan(value) or not (torque or kind is _COAST):
                 raise ValueError(f"motor {motor.spec.name}: {kind.value} {value}: must be torque in N m, or coast")
             motor.commanded = torque
-            if torque and now_ns < motor.heard_until_ns:
+            if torque and motor.trusted(now_ns):
                 raws[motor.slot] = motor.raw(value)
         return self._frames(raws, now_ns)
 
     def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
-        """The latest measurement and state of each motor. There are no faults: the controllers report none."""
+        """The latest measurement and state of each motor. The controllers report no faults; the driver finds one."""
         return [motor.feedback(now_ns) for motor in self._motors]
 
     def clear_faults(self) -> None:
-        """Nothing to clear: the controllers report no faults."""
+        """Look anew for ids given twice; the controllers themselves report no faults."""
+        for motor in self._motors:
+            motor.fault = None
+            motor.twins.forget()
 
     def coast_frames(self) -> list[CanFrame]:
         """Current 0 for every motor."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.kinematics.omni import OmniKinematics, WheelPose
@@ -31,16 +32,22 @@ def _omni(given: Vector) -> OmniKinematics:
     return OmniKinematics([WheelPose(cos(angle), sin(angle), angle, 1.0) for angle in angles])
 
 
+def _projector(kinematics: OmniKinematics) -> npt.NDArray[np.float64]:
+    """I - D D+: what of rim speeds no rigid motion explains."""
+    rows = np.array(kinematics.rim_matrix)
+    return np.asarray(np.eye(len(rows)) - rows @ np.array(kinematics.rim_pinv))
+
+
 def _omni_d(given: Vector) -> dict[str, Any]:
-    return {"D": _omni(given).rim_matrix @ _TO_PAPER.T}
+    return {"D": np.array(_omni(given).rim_matrix) @ _TO_PAPER.T}
 
 
 def _omni_d_pinv(given: Vector) -> dict[str, Any]:
-    return {"Dplus": _TO_PAPER @ _omni(given).rim_pinv}
+    return {"Dplus": _TO_PAPER @ np.array(_omni(given).rim_pinv)}
 
 
 def _omni_slip_projector(given: Vector) -> dict[str, Any]:
-    return {"P": _omni(given).slip_projector}
+    return {"P": _projector(_omni(given))}
 
 
 def _omni_wheel_speeds(given: Vector) -> dict[str, Any]:
@@ -51,7 +58,7 @@ def _omni_odometry(given: Vector) -> dict[str, Any]:
     kinematics = _omni(given)
     estimate = kinematics.twist(given["m"])
     assert estimate is not None
-    residual = kinematics.slip_projector @ np.array(given["m"])
+    residual = _projector(kinematics) @ np.array(given["m"])
     return {
         "v": _TO_PAPER @ np.array(estimate.twist),
         "residual": residual,
@@ -65,7 +72,7 @@ def _slip_scalar(given: Vector) -> dict[str, Any]:
     phi = pi / 6.0
     kinematics = _omni({"thetas": [phi, pi - phi, pi + phi, -phi]})
     measured = np.array(given["m"])
-    residual = kinematics.slip_projector @ measured
+    residual = _projector(kinematics) @ measured
     return {"s": 4.0 * residual[0], "projected": measured - residual}
 
 

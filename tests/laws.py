@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.control.limits import stopping_time
-from gateway.types import ZERO_TWIST, Inputs, Mode, TwistCommand
+from gateway.types import ZERO_TWIST, BusEventKind, Inputs, Mode, TwistCommand
 from replay.drive.moment import Moment
 
 DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
@@ -18,6 +18,7 @@ RESTING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})
 ROUNDING = 1e-9  # of a setpoint, m/s or rad/s
 STEP = 0.05  # of its top speed that a wheel's setpoint may move in one period; see `no_steps`
 PAUSE = 1.5  # periods between two cycles; from there on the loop paused
+RETURN_NS = 200_000_000  # for motors to be heard again when their bus is back
 STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
 FOLLOWING_S = 0.25  # by which real wheels may be later than their setpoints
@@ -42,15 +43,22 @@ def grows_only_in_drive(drive: Drive, _: RobotConfig) -> Iterator[str]:
 
 
 def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
-    """A motor that was released, or braked in an emergency stop, is not driven before the robot was in IDLE."""
+    """A motor that was released, fell silent, or was braked in an emergency stop, is not driven before IDLE.
+
+    Not of a motor that falls silent with its bus: it may go on braking when the bus is back.
+    """
     names = config.robot.motor_names()
     let_go: dict[int, str] = {}
+    reach = _Reach(config)
     for now in drive:
         if now.inputs.cycle == 0 or now.outputs.mode is Mode.IDLE:
             let_go.clear()
+        reach.receive(now.inputs)
         if now.outputs.mode is Mode.IDLE:
             continue
         stopped = now.outputs.mode is Mode.ESTOP
+        for index in reach.silent(now):
+            let_go.setdefault(index, f"{_when(now)}: silent")
         for index, setpoint in enumerate(now.outputs.trace.wheel_setpoints):
             if setpoint and (index in let_go or stopped):
                 yield f"{_when(now)}: {names[index]} driven at {setpoint} after {let_go.get(index, 'the stop')}"
@@ -181,6 +189,36 @@ class _Zeros:
         gap_ns = command.received_ns - before.received_ns
         late = gap_ns > self._timeouts_ns[command.source] and not (command.stamped and before.stamped)
         return late or command.sender != before.sender
+
+
+class _Reach:
+    """Which motors could be heard, told from the events of the buses alone."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._buses = [motor.bus for motor in config.motors_in_order()]
+        self._down: set[str] = set()
+        self._away_ns: dict[str, int] = {}  # when a bus was last down
+
+    def receive(self, inputs: Inputs) -> None:
+        """The bus events of a cycle."""
+        if inputs.cycle == 0:
+            self._down.clear()
+            self._away_ns.clear()
+        for event in inputs.bus_events:
+            if event.kind is BusEventKind.DOWN:
+                self._down.add(event.bus)
+            elif event.kind is BusEventKind.UP:
+                self._down.discard(event.bus)
+                self._away_ns[event.bus] = inputs.now_ns
+        for bus in self._down:
+            self._away_ns[bus] = inputs.now_ns
+
+    def silent(self, now: Moment) -> Iterator[int]:
+        """Places of the motors that nothing is heard of though their bus is up, and has been for RETURN_NS."""
+        for index, (bus, speed) in enumerate(zip(self._buses, now.outputs.trace.wheel_speeds, strict=True)):
+            away_ns = self._away_ns.get(bus)
+            if speed is None and (away_ns is None or now.inputs.now_ns - away_ns > RETURN_NS):
+                yield index
 
 
 def _grows(before: Moment, now: Moment) -> bool:

@@ -2,8 +2,11 @@
 
 How this works
 --------------
-One number makes one drive, the same on every machine. `wild` drives break everything, in any order and at once; `kind`
-drives keep the motors able to brake until the end, and end in silence for as long as the robot needs to come to rest.
+One number makes one drive, the same on every machine. `wild` drives break everything, in any order and at once, some
+much and some little; `kind` drives keep the motors able to brake until the end, and end in silence for as long as the
+robot needs to come to rest.
+A robot that lies in FAULT keeps every law without effort: half of the faults are short losses from which it may go on,
+and often all commanders fall silent while it drives.
 """
 
 from collections.abc import Callable
@@ -31,8 +34,9 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
     FaultKind.PUSH: lambda chance: chance.uniform(-300.0, 300.0),
     FaultKind.SLOPE: lambda chance: chance.uniform(-0.12, 0.12),
     FaultKind.FRICTION: lambda chance: chance.uniform(0.02, 0.6),
-    FaultKind.MASS: lambda chance: chance.uniform(20.0, 250.0),
+    FaultKind.MASS: lambda chance: 10 ** chance.uniform(1.3, 3.7),  # up to what the motors hardly move
 }
+LOSSES = (FaultKind.POWER_OFF, FaultKind.POWER_CYCLE, FaultKind.CABLE_OUT, FaultKind.BUS_DOWN, FaultKind.LOOP_PAUSE)
 ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
 KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
 KIND_VALUES: dict[FaultKind, Callable[[Random], float]] = {
@@ -66,10 +70,12 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
     chance = Random(seed)
     lively = SECONDS - SILENCE_S if can_brake else SECONDS
     entries = [_command(chance, config, 0.0, still=True)]
+    trouble = chance.choice([0.7, 2.0, 4.0])
     t = ANSWERS_S + 0.5
     while t < lively:
-        entries += _something(chance, config, t, can_brake=can_brake)
+        entries += _something(chance, config, t, trouble=trouble, can_brake=can_brake)
         t += 10 ** chance.uniform(-1.5, 0.2)
+    entries = [entry for entry in entries if entry["t"] < lively]  # what follows a start or a hush may be too late
     if can_brake:
         entries += [{"t": lively, "silence": source.name} for source in config.commands.source]
     return Scenario.model_validate(
@@ -77,39 +83,58 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
     )
 
 
-def _something(chance: Random, config: RobotConfig, t: float, *, can_brake: bool) -> list[Entry]:
-    kind = chance.choices(["command", "start", "silence", "request", "fault"], [6, 3, 1, 1, 4])[0]
+def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float, can_brake: bool) -> list[Entry]:
+    happenings = {"command": 6.0, "start": 3.0, "silence": 1.0, "hush": 1.5, "request": 1.0, "fault": trouble}
+    kind = chance.choices(list(happenings), list(happenings.values()))[0]
     if kind == "command":
         return [_command(chance, config, t, still=chance.random() < 0.15)]
     if kind == "start":  # what most people do when the robot does not move
-        zero = _command(chance, config, t, still=True)
-        return [{"t": t, "request": "reset"}, zero] if chance.random() < 0.7 else [zero]
+        sources = config.commands.source if chance.random() < 0.8 else [chance.choice(config.commands.source)]
+        zeros = [_command(chance, config, t, still=True, source=source.name) for source in sources]
+        reset: list[Entry] = [{"t": t, "request": "reset"}] if chance.random() < 0.8 else []
+        return [*reset, *zeros, _command(chance, config, t + chance.uniform(0.1, 0.5), still=False)]
     if kind == "silence":
         return [{"t": t, "silence": chance.choice(config.commands.source).name}]
+    if kind == "hush":
+        silences: list[Entry] = [{"t": t, "silence": source.name} for source in config.commands.source]
+        again = _command(chance, config, t + chance.uniform(0.1, 1.0), still=False)
+        return [*silences, again] if can_brake else [*silences, *_loss_while_braking(chance, t), again]
     if kind == "request":
-        words = ["estop", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
+        words = ["estop", "reset", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
         return [{"t": t, "request": chance.choice(words)}]
     return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config)}]
 
 
-def _command(chance: Random, config: RobotConfig, t: float, *, still: bool) -> Entry:
+def _loss_while_braking(chance: Random, t: float) -> list[Entry]:
+    """The bus goes, sometimes, while the robot is on its way to rest."""
+    if chance.random() < 0.5:
+        return []
+    fault = {"kind": FaultKind.BUS_DOWN.value, "seconds": chance.uniform(0.02, 0.8)}
+    return [{"t": t + chance.uniform(0.2, 1.0), "fault": fault}]
+
+
+def _command(chance: Random, config: RobotConfig, t: float, *, still: bool, source: str | None = None) -> Entry:
     axis = [0.0 if still or chance.random() < 0.3 else chance.uniform(-1.3, 1.3) for _ in range(3)]
     vx, vy, wz = (part * top for part, top in zip(axis, config.limits.velocity.as_twist(), strict=True))
     rate = chance.choice([20.0, 50.0, 100.0, 3.0]) if not still else 50.0
-    source = chance.choices(config.commands.source, [3, 1])[0].name
+    source = source or chance.choices(config.commands.source, [3, 1])[0].name
     stamped = chance.random() < 0.5
-    return {"t": t, "command": {"source": source, "vx": vx, "vy": vy, "wz": wz, "rate": rate, "stamped": stamped}}
+    command = {"source": source, "vx": vx, "vy": vy, "wz": wz, "rate": rate, "stamped": stamped}
+    if chance.random() < 0.1:
+        command["sender"] = "stranger"
+    return {"t": t, "command": command}
 
 
 def _fault(chance: Random, config: RobotConfig) -> Entry:
-    kind = chance.choice(list(FaultKind))
+    brief = chance.random() < 0.5
+    kind = chance.choice(LOSSES if brief else list(FaultKind))
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
         fault["motor"] = chance.choice(config.robot.motor_names())
     if kind in VALUES:
         fault["value"] = VALUES[kind](chance)
-    if rule.timed or (rule.end is not None and chance.random() < 0.7):
+    if rule.timed or (rule.end is not None and (brief or chance.random() < 0.7)):
         fault["seconds"] = 10 ** chance.uniform(-2.0, -0.2 if kind in ONLY_BRIEF else 0.5)
     return fault
 

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Sets up a test environment in .venv and runs everything: style, types, tests in both forms, and the two virtual-machine lanes.
+# Sets up a test environment in .venv and runs everything: style, types, tests in both forms, the two virtual-machine
+# lanes, and the lane that wants the same bytes from another processor.
 set -eu
 cd "$(dirname "$0")/.."
 . deploy/venv.sh
@@ -11,3 +12,4 @@ make_venv .venv
 .venv/bin/python -m pytest "$@"
 .venv/bin/python -m tests.compiled -q
 .venv/bin/python -m tests.vm
+.venv/bin/python -m tests.equality

@@ -10,7 +10,14 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("drivers", "gateway", "replay")
-GROUND = ("gateway/types.py", "gateway/config.py", "gateway/robot_files.py", "gateway/build.py", "gateway/__init__.py")
+GROUND = (
+    "gateway/arithmetic.py",
+    "gateway/build.py",
+    "gateway/types.py",
+    "gateway/config.py",
+    "gateway/robot_files.py",
+    "gateway/__init__.py",
+)
 
 # Each room and what it may import besides the standard library and its own folder. "ground" is types, config and
 # robot_files; "entrance" is service and client; a folder without an entry here is no room and fails.
@@ -19,7 +26,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"ground"},
-    "gateway/control": {"ground"},
+    "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/core", "gateway/edges"},
@@ -132,6 +139,59 @@ def test_no_hidden_switches(path: Path) -> None:
         if isinstance(node, ast.If):
             words = {part.id for part in ast.walk(node.test) if isinstance(part, ast.Name)}
             assert not words & {"replay", "replaying", "simulated", "simulate", "sim"}, f"{name(path)}:{node.lineno}"
+
+
+# What Python itself computes exactly or rounds correctly; everything else in `math` is the C library's, which differs
+# between processors and versions.
+EXACT_MATH = {
+    *("ceil", "copysign", "fabs", "floor", "fmod", "fsum", "inf", "isclose", "isfinite", "isinf", "isnan", "nan"),
+    *("nextafter", "pi", "remainder", "sqrt", "tau", "trunc", "ulp"),
+}
+INEXACT_MODULES = {"cmath", "numpy", "scipy", "statistics"}
+INEXACT_BUILTINS = {"pow", "sum"}  # the C library's pow; compensated from Python 3.12 on, and not before
+
+
+def inexact(path: Path) -> Iterator[str]:
+    """What may give other bits on another processor, with its line."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Import(names=names):
+                found = [alias.name for alias in names if alias.name.split(".")[0] in {"math", *INEXACT_MODULES}]
+            case ast.ImportFrom(module="math", names=names):
+                found = [f"math.{alias.name}" for alias in names if alias.name not in EXACT_MATH]
+            case ast.ImportFrom(module=str(module)):
+                found = [module] if module.split(".")[0] in INEXACT_MODULES else []
+            case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
+                found = ["@"]
+            case ast.BinOp(left=ast.Constant(value=int()), op=ast.Pow(), right=ast.Constant(value=int())):
+                found = []  # a whole number, computed by the compiler
+            case ast.BinOp(op=ast.Pow()) | ast.AugAssign(op=ast.Pow()):
+                found = ["**"]
+            case ast.Call(func=ast.Name(id=called)):
+                found = [called] if called in INEXACT_BUILTINS else []
+            case _:
+                found = []
+        yield from (f"{one} in line {getattr(node, 'lineno', '?')}" for one in found)
+
+
+@pytest.mark.parametrize("path", [path for path in sources() if room(path) in PURE], ids=name)
+def test_the_core_computes_the_same_bits_on_every_processor(path: Path) -> None:
+    """See gateway/arithmetic.py for what takes their place."""
+    assert not list(inexact(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("from math import sin", "from math import hypot, sqrt", "import math", "import numpy as np"),
+        *("from numpy.linalg import pinv", "a = b @ c", "a @= b", "a = b**2", "a **= b", "a = 2.0**-3", "a = 2**-b"),
+        *("a = sum(b)", "a = pow(b, 2)", "import cmath", "from statistics import mean"),
+    ],
+)
+def test_what_is_inexact_is_found(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(f"from math import pi, sqrt\nLIMIT = 10**13\n{text}\n", encoding="utf-8")
+    assert len(list(inexact(path))) == 1
 
 
 def test_every_package_has_sources() -> None:

@@ -12,6 +12,8 @@ from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
 from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
 from drivers.odrive.tables import AxisState, Control
+from drivers.twins import CODE as ID_TWIN
+from drivers.twins import TwinWatch, twin_fault
 
 REVOLUTION = tau  # rad; the wire counts in revolutions
 HEARTBEAT_TIMEOUT_NS = 300_000_000  # three of the default cyclic messages of 100 ms
@@ -82,6 +84,7 @@ class Axis:
         "temperature_c",
         "timeout_read",
         "torque",
+        "twins",
         "velocity",
         "verdict",
         "version",
@@ -118,6 +121,7 @@ class Axis:
         self.torque: float | None = None
         self.voltage: float | None = None
         self.temperature_c: float | None = None
+        self.twins = TwinWatch(spec)
 
         self.step = Step.HEARTBEAT
         self.entered_ns: int | None = None  # None: entered, but nothing done there yet
@@ -207,6 +211,7 @@ class Axis:
         """Forget a fault and have the controller asked to forget its own."""
         if self.fault is not None or self.step in FAILED:
             self.fault = self.verdict = None
+            self.twins.forget()
             self.enter(Step.RESET)
 
     def _id(self, command: int) -> int:
@@ -284,11 +289,18 @@ class Axis:
             return
         self.measured_ns = received_ns
         self.measured_until_ns = received_ns + self.measured_timeout_ns
+        if self.twins.take(position * REVOLUTION, velocity * REVOLUTION, received_ns):
+            self._tell_twins()
         if position == velocity == 0.0 and not self._measures(received_ns):
             self.position = self.velocity = None
             return
         self.position = position * REVOLUTION
         self.velocity = velocity * REVOLUTION
+
+    def _tell_twins(self) -> None:
+        """Whatever else was said of the axis is hearsay of one of the two."""
+        if self.fault is None or self.fault.code != ID_TWIN:
+            self.fail(twin_fault(self.spec, self.bus))
 
     def _measures(self, now_ns: int) -> bool:
         """Whether an estimate of exactly zero is measured, and no placeholder from before the first closed loop."""
@@ -324,8 +336,7 @@ class Axis:
             self.voltage = items[0]
 
     def _take_reason(self, command: int, items: tuple[Any, ...], _received_ns: int) -> None:
-        if self.step is Step.ASK_WHY:
-            self.reasons[command] = items[self.firmware.reasons[command].item]
+        self.reasons[command] = items[self.firmware.reasons[command].item]
 
 
 def _drop(_items: tuple[Any, ...], _received_ns: int) -> None:

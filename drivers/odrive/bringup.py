@@ -63,8 +63,7 @@ def advance(axis: Axis, now_ns: int) -> list[CanFrame]:
         axis.enter(Step.HEARTBEAT)
     if axis.step in ARMING and axis.wanted is not axis.control:
         axis.enter(Step.READY)
-    if axis.step not in ARMING:
-        axis.control = axis.wanted
+    axis.control = axis.wanted
     if axis.step is Step.READY and axis.wanted is None:
         axis.fault = None
     frames = _move(axis, now_ns)

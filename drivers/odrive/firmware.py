@@ -4,6 +4,8 @@ Words and bits are those of the vendor's DBC files (see odrive_tables), against 
 """
 
 from collections.abc import Callable, Mapping
+from functools import reduce
+from operator import or_
 from typing import Any, NamedTuple
 
 from drivers.odrive import tables
@@ -224,7 +226,7 @@ FIRMWARES: dict[str, Firmware] = {
 def error_words(bits: int, table: Mapping[int, Bit]) -> str:
     """Every set bit in the vendor's words; a bit the table lacks as a number."""
     words = [bit.word for mask, bit in table.items() if bits & mask]
-    unknown = bits & ~sum(table)
+    unknown = bits & ~reduce(or_, table, 0)
     if unknown:
         words.append(f"unknown 0x{unknown:x}")
     return ", ".join(words)

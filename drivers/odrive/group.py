@@ -180,9 +180,8 @@ def _check_watchdog(motor: MotorSpec) -> None:
 
 
 def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
-    state = _state(axis, now_ns)
     return MotorFeedback(
-        state,
+        _state(axis, now_ns),
         axis.position,
         axis.velocity,
         axis.torque,
@@ -190,7 +189,7 @@ def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
         axis.temperature_c,
         axis.fault,
         None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
-        axis.missing(now_ns) if state is MotorState.SILENT else None,
+        axis.missing(now_ns),
     )
 
 

@@ -9,21 +9,25 @@ import socket
 import statistics
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
-from gateway import build, robot_files
+from gateway import robot_files
+from gateway.build import version
 from gateway.cli.output import console, print_json
 from gateway.client import Client
 from gateway.config import Bus, RobotConfig, load
+from gateway.core.assembly import build
 from gateway.edges import host_checks as judge
 from gateway.edges.can_link import CanLink, parse_link
 from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
+from gateway.edges.messages import StateMessage
 from gateway.edges.zenoh_session import LinkError
+from gateway.types import Status
 
 INSTALLED = Path("/etc/drivegate")
 SESSIONS = Path("/var/lib/drivegate")
@@ -36,13 +40,21 @@ _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
 _STYLES = {Grade.OK: "green", Grade.NOTE: "yellow", Grade.PROBLEM: "red"}
 
 
+class Answer(NamedTuple):
+    """Of a Zenoh endpoint: nobody listens, the robot is there, and what it says of itself."""
+
+    free: bool
+    alive: bool
+    state: StateMessage | None
+
+
 def doctor(
     file: Annotated[
         str | None, typer.Argument(help="Robot file, or the name of an installed or bundled one.", show_default="all")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
 ) -> None:
-    """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, service, versions. Exit 1 on a problem."""
+    """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, joints, service. Exit 1 on a problem."""
     findings = [*_machine()]
     for path in _robot_files(file):
         findings += _robot(path)
@@ -95,14 +107,17 @@ def _robot(path: Path) -> Iterator[Finding]:
     if config.recording.enabled:
         limits = config.recording
         yield judge.disk(str(directory), free=_free(directory), min_free=limits.min_free, budget=limits.disk_budget)
-    yield from _endpoints(config, active=active)
+    answers = {text: _ask(config.robot.name, text) for text in config.zenoh.listen}
+    yield from _endpoints(config, answers, active=active)
+    states = [answer.state.status for answer in answers.values() if answer and answer.state]
+    yield from _joints(config, states[0] if states else None)
     yield judge.service(name, unit)
 
 
 def _versions() -> Iterator[str]:
     system = os.uname()
     yield f"{system.sysname} {system.release} {system.machine}"
-    yield f"drivegate {build.version()}"
+    yield f"drivegate {version()}"
     for package in _PACKAGES:
         try:
             yield f"{package} {metadata.version(package)}"
@@ -186,15 +201,34 @@ def _free(directory: Path) -> int | None:
         return None
 
 
-def _endpoints(config: RobotConfig, *, active: bool) -> Iterator[Finding]:
-    for text in config.zenoh.listen:
-        address = _ENDPOINT.fullmatch(text)
-        if address is None:
+def _joints(config: RobotConfig, status: Status | None) -> Iterator[Finding]:
+    robot = build(config)
+    for index in robot.kinematics.steered:
+        yield judge.joint(robot.names[index], robot=config.robot.name, absolute=robot.absolute[index], status=status)
+
+
+def _endpoints(config: RobotConfig, answers: Mapping[str, Answer | None], *, active: bool) -> Iterator[Finding]:
+    for text, answer in answers.items():
+        if answer is None:
             yield Finding(f"Zenoh {text}", Grade.NOTE, "this kind of endpoint is not checked")
-            continue
-        free = _bindable(address["host"], int(address["port"]))
-        answered = not free and _answers(config.robot.name, text)
-        yield judge.endpoint(text, robot=config.robot.name, free=free, answered=answered, active=active)
+        else:
+            robot, (free, alive, _) = config.robot.name, answer
+            yield judge.endpoint(text, robot=robot, free=free, answered=alive, active=active)
+
+
+def _ask(robot: str, endpoint: str) -> Answer | None:
+    """What an endpoint answers; None for a kind that is not checked."""
+    address = _ENDPOINT.fullmatch(endpoint)
+    if address is None:
+        return None
+    if _bindable(address["host"], int(address["port"])):
+        return Answer(free=True, alive=False, state=None)
+    try:
+        with Client(robot, connect=[re.sub(r"/(\[::\]|0\.0\.0\.0):", "/127.0.0.1:", endpoint)]) as client:
+            alive = client.wait_alive(ANSWER_S)
+            return Answer(free=False, alive=alive, state=client.status(ANSWER_S) if alive else None)
+    except LinkError:
+        return Answer(free=False, alive=False, state=None)
 
 
 def _bindable(host: str, port: int) -> bool:
@@ -202,12 +236,4 @@ def _bindable(host: str, port: int) -> bool:
         with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
             return True
     except OSError:
-        return False
-
-
-def _answers(robot: str, endpoint: str) -> bool:
-    try:
-        with Client(robot, connect=[re.sub(r"/(\[::\]|0\.0\.0\.0):", "/127.0.0.1:", endpoint)]) as client:
-            return client.wait_alive(ANSWER_S)
-    except LinkError:
         return False

@@ -14,11 +14,12 @@ w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what
 twists is not convex: where the straight line would leave it, the rates that must fall go first (`_beside`).
 """
 
-from math import atanh, ceil, sqrt
+from math import ceil, sqrt
 
 from gateway.types import ZERO_TWIST, Twist
 
 TURNING_SHARE = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
+_TURNING_DELAY = 1.4461490724592034  # atanh(sqrt(k))/sqrt(k), k = TURNING_SHARE: see `stopping_time`
 LEAST_SHARE = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
 _ROUNDING = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
 _LINE_TOLERANCE = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
@@ -51,7 +52,7 @@ def stopping_time(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float
     """
     length, slowness = excess(velocity, acceleration), 1.0 / _slope(acceleration, jerk)
     straight = length + slowness if length >= slowness else 2.0 * sqrt(length * slowness)
-    return straight * atanh(sqrt(TURNING_SHARE)) / sqrt(TURNING_SHARE)
+    return straight * _TURNING_DELAY
 
 
 def stopping_distance(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
@@ -60,7 +61,7 @@ def stopping_distance(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> f
     Straight on the speed falls along a ramp symmetric about its middle: half of top speed times the time.
     In a curve braking begins more slowly than it ends, by no more than the factor of `stopping_time` again.
     """
-    fastest = sqrt(velocity.vx**2 + velocity.vy**2)
+    fastest = sqrt(velocity.vx * velocity.vx + velocity.vy * velocity.vy)
     return 0.5 * fastest * stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk)
 
 
@@ -125,13 +126,14 @@ class TwistLimiter:
         """
         x, y, z = self.setpoint
         limit_x, limit_y, limit_z = self._acceleration
-        square = (x / limit_x) ** 2 + (y / limit_y) ** 2 + (z / limit_z) ** 2
+        along_x, along_y, along_z = x / limit_x, y / limit_y, z / limit_z
+        square = along_x * along_x + along_y * along_y + along_z * along_z
         if dt <= 0.0 or square == 0.0:
             if square == 0.0:
                 self.reset()
             return self.setpoint
         a, b, c = self._rate
-        falling = -(x * a / limit_x**2 + y * b / limit_y**2 + z * c / limit_z**2) / square  # 1/s
+        falling = -(along_x * a / limit_x + along_y * b / limit_y + along_z * c / limit_z) / square  # 1/s
         self._rate = _scaled(self.setpoint, -max(0.0, falling))
         way = _scaled(self.setpoint, -1.0)
         if self._arrives(way, dt):
@@ -139,7 +141,7 @@ class TwistLimiter:
             return self.setpoint
         self._turn_rate(way, dt, effort=1.0)
         a, b, c = self._rate
-        left = 1.0 + dt * (x * a / limit_x**2 + y * b / limit_y**2 + z * c / limit_z**2) / square
+        left = 1.0 + dt * (along_x * a / limit_x + along_y * b / limit_y + along_z * c / limit_z) / square
         if left <= 0.0:
             self.reset()
             return self.setpoint

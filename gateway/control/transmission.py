@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+from drivers.contract import CommandKind, MotorCommand
+from gateway.control.drive_law import JointCommand
+
 
 class Transmission(NamedTuple):
     """`ratio` is motor turns per output turn, signed by the mounting direction; `zero` is at the output, rad."""
@@ -16,6 +19,17 @@ class Transmission(NamedTuple):
     def motor_torque(self, output_torque: float) -> float:
         """N m at the shaft, for an ideal gear."""
         return output_torque / self.ratio
+
+    def motor_command(self, command: JointCommand) -> MotorCommand:
+        """The same at the shaft; a voltage only has a sign there."""
+        kind, value = command.kind, command.value
+        if kind is CommandKind.VELOCITY:
+            return MotorCommand(kind, self.motor_speed(value))
+        if kind is CommandKind.TORQUE:
+            limit = command.limit
+            bounded = value if limit is None else min(max(value, -limit), limit)
+            return MotorCommand(kind, self.motor_torque(bounded))
+        return MotorCommand(kind, value if self.ratio > 0.0 else -value)
 
     def output(self, motor_speed: float | None, motor_position: float | None) -> tuple[float | None, float | None]:
         """Rad/s and rad (from its zero) at the output."""

@@ -7,6 +7,7 @@ from drivers import DRIVERS
 from drivers.checks import id_conflicts
 from drivers.contract import Driver, MotorSpec, Watchdog
 from gateway.config import ConfigError, Motor, RobotConfig, WatchdogConfig
+from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
@@ -32,6 +33,7 @@ class Robot(NamedTuple):
     speed_loops: tuple[SpeedLoop | None, ...]
     absolute: tuple[bool, ...]  # whether the encoder knows its angle after a power cut
     limits: tuple[Limits, ...]
+    law: DriveLaw
 
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
@@ -51,6 +53,12 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         speed_loops=loops,
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
+        law=SpeedLaw(
+            kinematics,
+            top_speeds=[config.limits.motor_speed[motor.name] for motor in motors],
+            velocity=config.limits.velocity.as_twist(),
+            period=1.0 / config.loop.rate,
+        ),
     )
 
 

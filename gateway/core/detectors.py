@@ -8,13 +8,14 @@ Each cycle a motor is a `Sample`; each detector looks at the samples of one moto
 | stall | torque at its limit, and no motion: a wall, a jam | a slow motor, a heavy robot |
 | frozen encoder | the very same position again and again, where the wheel must be turning | a wheel at rest |
 | runaway | moves on beyond its setpoint, faster and faster: a wrong sign | an impact, a slope, a lag |
+| reversed | a wheel goes against all its torque, with the others in tow: a wrong sign | a push, a slope, a load |
 | following | far from its setpoint with torque to spare | torque at its limit: that is overload, no fault |
-| twin | positions that jump to and fro: two controllers answer as one id | one jump |
 Slip is no fault of a motor and is seen from all wheels together (`SlipDetector`).
 Only samples that are new count where a position is compared: a lost frame is no standing wheel.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from math import copysign
 from typing import NamedTuple, Protocol
 
 AT_LIMIT = 0.8  # of the torque limit, from which a motor is taken to give all it has
@@ -41,13 +42,19 @@ RUNAWAY_SAMPLES = 6  # in a row; after a pause of the loop a single one may cove
 RUNAWAY_GROWTH = 0.05  # of top speed, beyond the setpoint
 RUNAWAY_RATE = 0.8  # top speeds per second; a slope or a push is slower
 
+REVERSED_WORK = 0.015  # of torque limit times top speed, that went into slowing down against the torque ...
+REVERSED_TIME = 0.1  # ... within about so long, s
+REVERSED_STRAIN_TIME = 0.05  # s with all its torque, moving against it all the while; an impact is over by then
+REVERSED_NOISE = 0.0005  # of top speed, by which two measurements may differ the other way
+REVERSED_ERROR = 0.04  # of top speed, by which the wheel is off its setpoint by then
+REVERSED_MEMORY = 1.0  # s, in which no other wheel strained for longer ...
+REVERSED_BURDEN = (
+    0.15  # s ... nor the wheel itself for so long: that is an overload, which goes round as the robot turns
+)
+REVERSED_RATIO = 2.0  # times the work of any other wheel; what acts on the body acts on at least two wheels alike
+
 FOLLOWING_TOLERANCE = 0.3  # of top speed
 FOLLOWING_TIME = 0.5  # s
-
-TWIN_JUMPS = 5  # within about TWIN_MEMORY
-TWIN_MEMORY = 1.0  # s
-TWIN_WAY = 0.03  # rad; nearer is noise
-TWIN_ACCELERATION = 10.0  # top speeds per second that a wheel may really take between two samples
 
 
 class Sample(NamedTuple):
@@ -75,7 +82,7 @@ class Limits(NamedTuple):
 
 
 class Detector(Protocol):
-    """One of the five, for one motor."""
+    """One of those that look at one motor."""
 
     def look(self, x: Sample) -> str | None:
         """Take the sample of a cycle; what is wrong, in words, once that is sure."""
@@ -204,6 +211,64 @@ class RunawayDetector:
         return f"runs away: {speed:.2f} rad/s and rising where {x.setpoint:.2f} rad/s is commanded"
 
 
+class ReversedDetector:
+    """One wheel moves against all its torque, far more than any other: looks at all wheels of the robot together.
+
+    Only for wheels that carry redundancy: what pushes the body then shows on two wheels at least.
+    """
+
+    def __init__(self, limits: Sequence[Limits]) -> None:
+        self._wheels = [_AgainstTorque(one) for one in limits]
+
+    def look(self, samples: Sequence[Sample]) -> tuple[int, str] | None:
+        """Take the samples of a cycle; which motor it is and what is wrong, once that is sure."""
+        wheels = self._wheels
+        if not all([wheel.take(x) for wheel, x in zip(wheels, samples, strict=True)]):
+            return None
+        most, other = sorted((wheel.work for wheel in wheels), reverse=True)[:2]
+        if most < REVERSED_WORK or most < REVERSED_RATIO * other:
+            return None
+        worst = next(index for index, wheel in enumerate(wheels) if wheel.work == most)
+        x, suspect = samples[worst], wheels[worst]
+        if suspect.strained < REVERSED_STRAIN_TIME or suspect.error < REVERSED_ERROR:
+            return None
+        if suspect.burden > REVERSED_BURDEN:
+            return None
+        if any(wheel.burden >= suspect.burden for wheel in wheels if wheel is not suspect):
+            return None
+        return worst, f"turns at {x.speed:.2f} rad/s, away from its torque of {x.torque:.1f} N m: its sign is wrong"
+
+
+class _AgainstTorque:
+    """One wheel of those. `work` is of torque limit times top speed, `error` of top speed, the others are s."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._speed: float | None = None
+        self.work = self.error = self.strained = self.burden = 0.0
+
+    def take(self, x: Sample) -> bool:
+        """Whether everything is known that is needed."""
+        speed, torque = x.speed, x.torque
+        if not x.driving or x.setpoint is None or speed is None or torque is None:
+            self._speed, self.work, self.strained, self.burden = None, 0.0, 0.0, 0.0
+            return False
+        self.work *= max(0.0, 1.0 - x.dt / REVERSED_TIME)
+        self.strained += x.dt
+        self.burden *= max(0.0, 1.0 - x.dt / REVERSED_MEMORY)
+        if self._limits.strained(torque):
+            self.burden += x.dt
+        if not x.fresh:
+            return True
+        limits, before, self._speed = self._limits, self._speed, speed
+        gained = 0.0 if before is None else (speed - before) / limits.speed
+        self.work -= gained * torque / limits.torque
+        self.error = abs(x.setpoint - speed) / limits.speed
+        if not limits.strained(torque) or gained * copysign(1.0, torque) > REVERSED_NOISE:
+            self.strained = 0.0
+        return True
+
+
 class FollowingDetector:
     """Far from its setpoint, with torque to spare."""
 
@@ -225,36 +290,6 @@ class FollowingDetector:
         if self._time < FOLLOWING_TIME:
             return None
         return f"turns at {x.speed:.2f} rad/s where {x.setpoint:.2f} rad/s is commanded"
-
-
-class TwinDetector:
-    """Positions that keep jumping to and fro."""
-
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self._before: tuple[float, float] | None = None  # position and speed of the last new sample
-        self._time = 0.0
-        self._jumps = 0.0
-
-    def look(self, x: Sample) -> str | None:
-        if x.position is None or x.speed is None:
-            self._before = None
-            return None
-        self._time += x.dt
-        self._jumps *= max(0.0, 1.0 - x.dt / TWIN_MEMORY)
-        if not x.fresh:
-            return None
-        before, self._before = self._before, (x.position, x.speed)
-        time, self._time = self._time, 0.0
-        if before is None:
-            return None
-        gap = abs(x.position - before[0] - 0.5 * (x.speed + before[1]) * time)
-        if gap <= TWIN_WAY + 0.5 * TWIN_ACCELERATION * self._limits.speed * time * time:
-            return None
-        self._jumps += 1.0
-        if self._jumps < TWIN_JUMPS:
-            return None
-        return "its position keeps jumping: two controllers may answer as this id"
 
 
 class SlipDetector:

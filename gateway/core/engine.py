@@ -14,23 +14,23 @@ after `measure`, degraded driving inside the kinematics (fewer rows) and the lim
 """
 
 from collections.abc import Sequence
-from math import cos, sin
 
 from drivers.contract import CanFrame, MotorState
+from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
+from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess
 from gateway.core import snapshot as snapshots
 from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
 from gateway.core.detectors import SlipDetector
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
-from gateway.core.joint_trust import JointTrust
+from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
-from gateway.kinematics.contract import Estimate, desaturate
 from gateway.types import (
     ZERO_TWIST,
     BusEventKind,
@@ -50,7 +50,6 @@ DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
 HOLDING = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
 ARMING_TIMEOUT_NS = 3_000_000_000
 ANSWER_TIME_NS = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
-DEGRADED_EFFORT = 0.5  # one motor of four lost: half the acceleration (Rojas section 11, corrected: E-001-14)
 BRAKING = frozenset({Mode.STOPPING, Mode.FAULT})
 DISMISSING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
 MAX_STEP_PERIODS = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
@@ -69,8 +68,9 @@ class Engine:
         robot = build(config)
         self._robot_name = config.robot.name
         self._names = robot.names
-        self._top_speeds = tuple(limits.speed for limits in robot.limits)
+        top_speeds = tuple(limits.speed for limits in robot.limits)
         self._kinematics = robot.kinematics
+        self._law = robot.law
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source)
         self._velocity = config.limits.velocity.as_twist()
@@ -80,8 +80,8 @@ class Engine:
             jerk=config.limits.jerk.as_twist(),
         )
         self._health = HealthMonitor(robot.names, limits=robot.limits)
-        self._odometry = WheelOdometry(robot.kinematics, top_speeds=self._top_speeds)
-        self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=self._top_speeds)
+        self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
+        self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._slip = SlipDetector()
         self._standstill = Standstill()
         self._reporter = Reporter(config)
@@ -93,11 +93,9 @@ class Engine:
         self._mode_since_ns = 0
         self._energised = False  # motors were armed and have not been released since
         self._rolled = False  # it rolled after an emergency stop had released it
-        self._blind = False  # braking without the joint angle, in proportion
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
-        self._angles: list[float | None] = [None] * len(self._names)  # rad; None: silent or not trusted
-        self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._names))  # last setpoint known in wheel speeds
+        self._measured = self._motors.measure(0, self._period)  # nothing yet
         self._robot_file = snapshots.fingerprint(config)
         if state is not None:
             snapshots.put(self, self._robot_file, state)
@@ -116,15 +114,15 @@ class Engine:
         now_ns = inputs.now_ns
         dt = self._elapsed(now_ns)
         self._receive(inputs)
-        estimate = self._measure(now_ns, dt)
-        health = self._judge(now_ns, dt)
+        self._measured = measured = self._measure(now_ns, dt)
+        health = self._judge(measured)
         selection = self._arbiter.select(now_ns)
         replies, granted = self._answer(inputs)
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
-        speeds, limits = self._limit(target, estimate, health, dt)
-        frames = self._command(speeds, health, dt=dt, now_ns=now_ns)
-        measured, residual = estimate if estimate else (None, None)
+        motion = self._limit(target, measured, health)
+        frames = self._command(motion, measured, health)
+        twist, residual = measured.estimate if measured.estimate else (None, None)
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
         reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
         events = self._reporter.events(
@@ -133,26 +131,26 @@ class Engine:
             reason=reason,
             faults=health.faults,
             replies=replies,
-            slipping=self._slip.slipping,
+            slipping=measured.slipping,
         )
         status = None
         if self._reporter.status_due(now_ns) or events:
-            status = self._status(inputs, health, selection, reason=reason, limits=limits, measured=measured)
+            status = self._status(inputs, health, selection, reason=reason, limits=motion.limits, measured=measured)
         return Outputs(
             frames,
             self._mode,
             events,
             replies,
-            self._odometry.read(measured, residual) if self._reporter.odometry_due(now_ns) else None,
+            self._odometry.read(twist, residual) if self._reporter.odometry_due(now_ns) else None,
             status,
             Trace(
                 target,
                 self._limiter.setpoint,
-                measured,
+                twist,
                 self._odometry.pose,
-                tuple(self._motors.setpoints),
-                tuple(self._motors.speeds),
-                tuple(self._motors.positions),
+                self._motors.setpoints,
+                measured.speeds,
+                measured.positions,
                 _seconds(selection.age_ns),
                 residual,
             ),
@@ -170,8 +168,8 @@ class Engine:
     def at_rest(self, frames: Sequence[CanFrame], *, now_ns: int) -> bool:
         """Takes frames in, and nothing else: whether every motor reports that it stands. Beside `stop_frames`."""
         self._motors.receive(frames)
-        self._motors.measure(now_ns)
-        return None not in self._motors.speeds and not self._motors.turning()
+        measured = self._motors.measure(now_ns, self._period)
+        return None not in measured.speeds and not self._motors.turning(measured)
 
     # receive and measure
 
@@ -195,49 +193,51 @@ class Engine:
             elif event.kind is BusEventKind.UP:
                 self._buses_down.pop(event.bus, None)
 
-    def _measure(self, now_ns: int, dt: float) -> Estimate | None:
-        motors = self._motors
-        motors.measure(now_ns)
-        angles = self._trust.angles(motors.positions)
+    def _measure(self, now_ns: int, dt: float) -> Measured:
+        measured = self._motors.measure(now_ns, dt)
+        speeds = measured.speeds
+        angles = self._trust.angles(measured.positions)
         deltas, jumped = self._odometry.deltas(angles, now_ns)
         self._trust.watch(angles, jumped, now_ns)
-        self._angles = self._trust.trusted(angles)
-        estimate = self._kinematics.twist(motors.speeds, self._angles)
+        trusted = self._trust.trusted(angles)
+        estimate = self._kinematics.twist(speeds, trusted)
         residual = estimate.residual if estimate else None
-        measurable = estimate is not None or None not in motors.speeds
-        self._standstill.measure(turning=motors.turning(), measurable=measurable, now_ns=now_ns)
-        self._odometry.update(deltas, self._angles, residual=residual, dt=dt)
+        measurable = estimate is not None or None not in speeds
+        self._standstill.measure(turning=self._motors.turning(measured), measurable=measurable, now_ns=now_ns)
+        self._odometry.update(deltas, trusted, residual=residual, dt=dt)
         self._slip.look(residual, dt)
-        return estimate
+        return measured._replace(angles=tuple(trusted), estimate=estimate, slipping=self._slip.slipping)
 
     def _expected_speed(self, index: int) -> float | None:
         """Speed of one wheel as the other wheels have it, rad/s."""
-        others = [None if place == index else speed for place, speed in enumerate(self._motors.speeds)]
-        estimate = self._kinematics.twist(others, self._angles)
+        measured = self._measured
+        others = [None if place == index else speed for place, speed in enumerate(measured.speeds)]
+        estimate = self._kinematics.twist(others, measured.angles)
         if estimate is None:
             return None
-        speeds = self._kinematics.wheel_speeds(estimate.twist, self._angles)
+        speeds = self._kinematics.wheel_speeds(estimate.twist, measured.angles)
         return None if speeds is None else speeds[index]
 
     # judge and decide
 
-    def _judge(self, now_ns: int, dt: float) -> Health:
+    def _judge(self, measured: Measured) -> Health:
         motors = self._motors
         return self._health.assess(
             motors.feedback,
-            motors.samples(driving=self._mode in DRIVING, dt=dt, expected=self._expected_speed),
-            others=self._other_faults(),
+            motors.samples(measured, driving=self._mode in DRIVING, expected=self._expected_speed),
+            others=self._other_faults(measured),
             out_of_reach=motors.on_buses(tuple(self._buses_down)) if self._buses_down else (),
             energised=self._energised,
-            now_ns=now_ns,
+            redundant=measured.estimate is not None and measured.estimate.residual is not None,
+            now_ns=measured.now_ns,
         )
 
-    def _other_faults(self) -> list[Fault]:
+    def _other_faults(self, measured: Measured) -> list[Fault]:
         """Buses that are down, and joints that are heard but stand at an angle nobody knows."""
         faults = [Fault(FaultKind.BUS, bus, text, latched=False) for bus, text in self._buses_down.items()]
         for index, why in self._trust.unknown.items():
-            if self._motors.positions[index] is not None:
-                text = f"joint angle unknown ({why}): drivegate reference {self._robot_name}"
+            if measured.positions[index] is not None:
+                text = f"{UNKNOWN} ({why}): drivegate reference {self._robot_name}"
                 faults.append(Fault(FaultKind.POSITION_UNKNOWN, self._names[index], text, latched=False))
         return faults
 
@@ -272,7 +272,7 @@ class Engine:
         if command is not None:
             return f"{command.source} commands motion; commands must be zero"
         for index, why in self._trust.unknown.items():
-            return f"{self._names[index]}: joint angle unknown ({why}): reference it first"
+            return f"{self._names[index]}: {UNKNOWN} ({why}): reference it first"
         return self._refusal_while_moving()
 
     def _refusal_while_moving(self) -> str | None:
@@ -288,7 +288,7 @@ class Engine:
             return f"motor = {name!r}: must be one of the steered joints: {', '.join(steered) or 'there are none'}"
         if self._mode in HOLDING:
             return f"the robot is in mode {self._mode.value}; a joint is referenced at rest"
-        position = self._motors.positions[steered[name]]
+        position = self._measured.positions[steered[name]]
         if position is None:
             return f"{name} does not report its position"
         refusal = self._refusal_while_moving()
@@ -300,7 +300,7 @@ class Engine:
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
         well = not health.faults and all(health.usable)
-        blocked = not well and not self._kinematics.drivable(health.usable)
+        blocked = not well and not self._kinematics.reach(health.usable).complete
         unarmed = self._motors.not_operational(health.usable)
         overdue = self._mode is Mode.STARTING and now_ns - self._mode_since_ns > ARMING_TIMEOUT_NS
         mode = next_mode(
@@ -345,7 +345,6 @@ class Engine:
         self._mode = mode
         self._mode_since_ns = now_ns
         self._rolled = False
-        self._blind = self._blind and mode in BRAKING
         if mode in DISMISSING:
             self._arbiter.dismiss(now_ns)
         if mode is Mode.IDLE:
@@ -364,53 +363,33 @@ class Engine:
         if command.frame is TwistFrame.BODY:
             return command.twist
         vx, vy, wz = command.twist
-        c, s = cos(self._odometry.pose.theta), sin(self._odometry.pose.theta)
+        s, c = sin_cos(self._odometry.pose.theta)
         return Twist(c * vx + s * vy, c * vy - s * vx, wz)
 
-    def _limit(
-        self, target: Twist, estimate: Estimate | None, health: Health, dt: float
-    ) -> tuple[list[float], tuple[str, ...]]:
-        """Wheel speeds of a setpoint within every limit, and the names of the limits at work."""
-        limits: tuple[str, ...] = ("slip",) if self._slip.slipping else ()
+    def _limit(self, target: Twist, measured: Measured, health: Health) -> Motion:
+        """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
+        limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
+        braking = self._mode in BRAKING
         if self._mode in DRIVING:
-            headroom = self._motors.headroom()
-            effort = DEGRADED_EFFORT if self._mode is Mode.DEGRADED else 1.0
-            _, active = self._limiter.step(target, dt, effort=effort, headroom=headroom)
+            headroom = self._motors.headroom(measured)
+            effort = self._kinematics.reach(health.usable).effort if self._mode is Mode.DEGRADED else 1.0
+            _, active = self._limiter.step(target, measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
-        elif self._mode in BRAKING:
-            self._brake(estimate, health, dt)
+        elif braking:
+            self._brake(measured, health)
         else:
             self._limiter.reset()
-        speeds = None
-        if not self._blind:
-            speeds = self._kinematics.wheel_speeds(self._limiter.setpoint, self._angles_ahead())
-        if speeds is None:
-            self._blind = self._mode in BRAKING  # an angle that comes back would be a step
-            return self._in_proportion(), limits
-        factor = desaturate(speeds, self._top_speeds)
-        if factor < 1.0:
-            self._limiter.scale(factor)
-            speeds, limits = [speed * factor for speed in speeds], (*limits, "motor_speed")
-        self._ramp = excess(self._limiter.setpoint, self._velocity), speeds
-        return speeds, limits
+        motion = self._law.motion(self._limiter.setpoint, measured, braking=braking)
+        if motion.share < 1.0:
+            self._limiter.scale(motion.share)
+        return motion._replace(limits=(*limits, *motion.limits))
 
-    def _angles_ahead(self) -> Sequence[float | None]:
-        """Angles of the steered joints as they will be when the motors turn as commanded: a period from now."""
-        if not self._kinematics.steered:
-            return self._angles
-        angles = list(self._angles)
-        for index in self._kinematics.steered:
-            angle, speed, age_ns = angles[index], self._motors.speeds[index], self._motors.feedback[index].age_ns
-            if angle is not None and speed is not None and age_ns is not None:
-                angles[index] = angle + speed * (age_ns * 1e-9 + self._period)
-        return angles
-
-    def _brake(self, estimate: Estimate | None, health: Health, dt: float) -> None:
+    def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
         if self._followed(health):
-            self._limiter.brake(dt)
-        if estimate is not None:
-            self._fall_back(estimate.twist, dt)
+            self._limiter.brake(measured.dt)
+        if measured.estimate is not None:
+            self._fall_back(measured.estimate.twist, measured.dt)
 
     def _followed(self, health: Health) -> bool:
         """Whether any motor obeys, as far as can be seen."""
@@ -425,29 +404,29 @@ class Engine:
         size = excess(setpoint, top)
         if size == 0.0:
             return
-        square = sum((s / limit) ** 2 for s, limit in zip(setpoint, top, strict=True))
-        along = sum(s * m / limit**2 for s, m, limit in zip(setpoint, measured, top, strict=True)) / square
+        scaled = [s / limit for s, limit in zip(setpoint, top, strict=True)]
+        along = dot(scaled, [m / limit for m, limit in zip(measured, top, strict=True)]) / dot(scaled, scaled)
         bound = max(along, 0.0) * size + SLACK
         if bound < size:
             self._limiter.scale(max(bound, size - RETREAT * dt, 0.0) / size)
 
-    def _in_proportion(self) -> list[float]:
-        """Without the joint angle: the last wheel speeds known, all in the proportion in which the setpoint fell."""
-        size, speeds = self._ramp
-        factor = excess(self._limiter.setpoint, self._velocity) / size if size > 0.0 else 0.0
-        return [speed * min(factor, 1.0) for speed in speeds]
-
     # command
 
-    def _command(self, speeds: Sequence[float], health: Health, *, dt: float, now_ns: int) -> tuple[CanFrame, ...]:
+    def _command(self, motion: Motion, measured: Measured, health: Health) -> tuple[CanFrame, ...]:
+        now_ns = measured.now_ns
         followed = self._followed(health)
         self._standstill.command(braking=self._limiter.at_rest or not followed, now_ns=now_ns)
         self._hold_or_release(now_ns)
-        may = self._may_be_commanded(health)
-        setpoints = [speed if self._energised and ok else None for speed, ok in zip(speeds, may, strict=True)]
+        may = [self._energised and ok for ok in self._may_be_commanded(health)]
         if self._mode in HOLDING or (self._mode is Mode.FAULT and self._energised):
-            self._health.lose([index for index, setpoint in enumerate(setpoints) if setpoint is None])
-        return self._motors.command(setpoints, braking=self._mode is Mode.ESTOP, dt=dt, now_ns=now_ns)
+            self._health.lose([index for index, ok in enumerate(may) if not ok])
+        return self._motors.command(self._told(motion, may), measured)
+
+    def _told(self, motion: Motion, may: Sequence[bool]) -> list[JointCommand]:
+        """What the law says where that may be commanded; an emergency stop brakes whatever the law says."""
+        if self._mode is Mode.ESTOP:
+            return [BRAKE if ok else COAST for ok in may]
+        return [command if ok else COAST for command, ok in zip(motion.commands, may, strict=True)]
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
         if self._mode is Mode.ESTOP:
@@ -476,7 +455,7 @@ class Engine:
         *,
         reason: str | None,
         limits: tuple[str, ...],
-        measured: Twist | None,
+        measured: Measured,
     ) -> Status:
         return Status(
             mode=self._mode,
@@ -485,12 +464,12 @@ class Engine:
             winner=selection.command.source if selection.command else None,
             winner_age_s=_seconds(selection.age_ns),
             sources=self._arbiter.describe(selection, inputs.now_ns),
-            motors=self._motors.status(),
+            motors=self._motors.status(measured),
             limits_active=limits,
             stop_category=self._stop_category,
             standing=self._standstill.standing,
             pose=self._odometry.pose,
-            twist=measured,
+            twist=measured.estimate.twist if measured.estimate else None,
             refused=self._reporter.refused,
             tx_dropped=self._reporter.tx_dropped,
             overruns=inputs.overruns,

@@ -1,22 +1,23 @@
 """What follows from a robot file, without touching any bus: geometry, top speeds, stopping, torque, bus load."""
 
-from itertools import product
-from math import log, pi, sqrt
+import itertools
+from math import fsum, pi, sqrt
 from typing import NamedTuple
-
-import numpy as np
 
 from drivers.contract import Traffic
 from gateway.config import ConfigError, OffsetDifferentialRobot, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build
+from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
 from gateway.types import Twist
 
 LOAD_WARNING = 0.70
 LOAD_REFUSAL = 0.95
 STOPPING_REFUSAL_S = 5.0  # a robot that needs longer from top speed is not under control; source: ours
-COMPENSATION_GAIN = 2.0  # k of the pull-region compensation: mirror-image decay (preprints202312.1327, Eq. 23)
+# ln(1 + 2/(k - 1)) of the pull-region compensation with k = 2: mirror-image decay (preprints202312.1327, Eq. 23)
+_COMPENSATION = 1.0986122886681098
 _UNIT = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
+_SIGNS = tuple(itertools.product((-1.0, 1.0), repeat=3))
 _HEADINGS = 72  # joint angles at which the top speed of a steered chassis is looked for
 
 
@@ -82,8 +83,8 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         robot=config.robot.name,
         kind=config.robot.kind,
         motors=len(robot.names),
-        rank=int(np.linalg.matrix_rank(matrix)),
-        condition=float(np.linalg.cond(matrix)),
+        rank=decompose(matrix).rank,
+        condition=condition(matrix),
         rate_hz=config.loop.rate,
         top_speeds=top,
         reachable=Twist(*(min(axis) for axis in zip(top, limit, strict=True))),
@@ -144,15 +145,14 @@ def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
     dry friction and that of half top speed come on top. The inertia of a chassis below its joint is left out.
     """
     body, limits = config.robot.body, config.limits.acceleration.as_twist()
-    forces = [
-        (x * body.mass * limits.vx, y * body.mass * limits.vy, z * body.inertia * limits.wz)
-        for x, y, z in product((-1.0, 1.0), repeat=3)
-    ]
+    forces = tuple(
+        (x * body.mass * limits.vx, y * body.mass * limits.vy, z * body.inertia * limits.wz) for x, y, z in _SIGNS
+    )
     worst = ("", 0.0)
     for turn in _turns(robot):
-        rows = np.array([_wheel_speeds(robot, axis, turn) for axis in _UNIT]).T
-        torques = np.abs(np.linalg.pinv(rows.T) @ np.array(forces).T).max(axis=1)
-        for name, torque, motor in zip(robot.names, torques.tolist(), robot.limits, strict=True):
+        columns = tuple(tuple(_wheel_speeds(robot, axis, turn)) for axis in _UNIT)
+        torques = [max(map(abs, row)) for row in product(pseudo_inverse(columns), transpose(forces))]
+        for name, torque, motor in zip(robot.names, torques, robot.limits, strict=True):
             share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
             worst = max(worst, (name, share), key=lambda one: one[1])
     return worst
@@ -163,8 +163,8 @@ def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusL
     for group in robot.groups:
         if group.bus == bus:
             traffic += group.driver.traffic(loop_rate_hz=config.loop.rate)
-    bits = sum(item.rate_hz * frame_bits(item.length, extended=item.extended) for item in traffic)
-    return BusLoad(bus, bitrate, bits / bitrate, sum(item.rate_hz for item in traffic))
+    bits = fsum(item.rate_hz * frame_bits(item.length, extended=item.extended) for item in traffic)
+    return BusLoad(bus, bitrate, bits / bitrate, fsum(item.rate_hz for item in traffic))
 
 
 def _compensation_limit(config: RobotConfig, limit: Twist) -> float | None:
@@ -172,7 +172,7 @@ def _compensation_limit(config: RobotConfig, limit: Twist) -> float | None:
     if not isinstance(config.robot, OffsetDifferentialRobot):
         return None
     speed = max(limit.vx, limit.vy)
-    return log(1.0 + 2.0 / (COMPENSATION_GAIN - 1.0)) * config.robot.axle_offset / speed
+    return _COMPENSATION * config.robot.axle_offset / speed
 
 
 def _warnings(

@@ -14,6 +14,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.contract import MotorFeedback, MotorState
+from drivers.twins import CODE as ID_TWIN
 from gateway.core import detectors
 from gateway.core.detectors import Detector, Limits, Sample
 
@@ -28,6 +29,7 @@ class FaultKind(Enum):
     STALL = "stall"  # torque at its limit, and no motion
     FROZEN = "frozen"  # the encoder stands still, the wheel does not
     RUNAWAY = "runaway"  # speeds up against its torque
+    REVERSED = "reversed"  # moves against its torque
     FOLLOWING = "following"  # speed does not follow the setpoint
     TWIN = "twin"  # two controllers answer as one
     POSITION_UNKNOWN = "position_unknown"  # a joint angle the geometry needs
@@ -37,13 +39,14 @@ class FaultKind(Enum):
 
 DETECTORS: dict[FaultKind, Callable[[Limits], Detector]] = {
     FaultKind.RUNAWAY: detectors.RunawayDetector,
-    FaultKind.TWIN: detectors.TwinDetector,
     FaultKind.FROZEN: detectors.FrozenEncoderDetector,
     FaultKind.STALL: detectors.StallDetector,
     FaultKind.FOLLOWING: detectors.FollowingDetector,
 }
+TOLD: dict[str, FaultKind] = {ID_TWIN: FaultKind.TWIN}  # what drivers tell by these codes; else it is MOTOR
 STILL_BRAKING = frozenset({FaultKind.STALL, FaultKind.FOLLOWING})  # not to be driven, but on a slope it must hold
-BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN})  # a controller that misreads its shaft cannot even brake it
+# A controller that misreads its shaft, or pushes the wrong way, cannot even brake it.
+BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN, FaultKind.REVERSED})
 
 
 class Fault(NamedTuple):
@@ -105,6 +108,7 @@ class HealthMonitor:
 
     def look_anew(self) -> None:
         """What the motors did before says nothing about now: after a pause of the loop, a reset, or at rest."""
+        self._reversed = detectors.ReversedDetector(self._limits)
         self._detectors = [
             [(kind, detector(limits)) for kind, detector in DETECTORS.items()] for limits in self._limits
         ]
@@ -117,10 +121,15 @@ class HealthMonitor:
         others: Sequence[Fault] = (),
         out_of_reach: Collection[int] = (),
         energised: bool,
+        redundant: bool = False,
         now_ns: int,
     ) -> Health:
-        """Health of this cycle. `others`: faults found elsewhere; `out_of_reach`: motors on a bus that is down."""
+        """Health of this cycle. `others`: faults found elsewhere; `out_of_reach`: motors on a bus that is down.
+
+        `redundant`: there are more wheels than ways to move, so that each can be told from the others.
+        """
         present: list[Fault] = []
+        backwards = self._reversed.look(samples) if redundant else None
         for index in out_of_reach:
             self._away[index] = now_ns
         for index, motor in enumerate(feedback):
@@ -128,7 +137,7 @@ class HealthMonitor:
                 continue
             if motor.state is MotorState.OPERATIONAL:
                 self._obeyed.add(index)
-                fault = self._detected(index, samples[index])
+                fault = self._detected(index, samples[index]) or self._blamed(index, backwards)
             else:
                 fault = self._reported(index, motor, energised=energised)
             if fault is not None:
@@ -153,7 +162,7 @@ class HealthMonitor:
         self._begin(index)
         name = self._names[index]
         if motor.fault is not None:
-            return Fault(FaultKind.MOTOR, name, motor.fault.text, motor.fault.latched)
+            return Fault(TOLD.get(motor.fault.code, FaultKind.MOTOR), name, motor.fault.text, motor.fault.latched)
         if motor.state is MotorState.SILENT:
             age = "never heard" if motor.age_ns is None else f"silent for {motor.age_ns * 1e-9:.2f} s"
             return Fault(FaultKind.SILENT, name, motor.silence or age, latched=False)
@@ -168,6 +177,11 @@ class HealthMonitor:
             if text is not None:
                 return Fault(kind, self._names[index], text, latched=True)
         return None
+
+    def _blamed(self, index: int, backwards: tuple[int, str] | None) -> Fault | None:
+        if backwards is None or backwards[0] != index:
+            return None
+        return Fault(FaultKind.REVERSED, self._names[index], backwards[1], latched=True)
 
     def _judge(self, present: Sequence[Fault]) -> Health:
         for fault in present:

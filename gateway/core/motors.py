@@ -4,17 +4,19 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from gateway.control.drive_law import JointCommand, Measured
 from gateway.core.assembly import Robot
 from gateway.core.detectors import Sample
 from gateway.types import MotorStatus
 
 STANDSTILL = 0.005  # of the motor's top speed
 SATURATED = 0.98  # of the torque limit
+_SPEEDS = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
 HEADROOM_FROM, HEADROOM_TO = 0.05, 0.08  # of top speed: lag at which the setpoint may grow slower, and not at all
 
 
 class Motors:
-    """Owns the drivers. `feedback`, `speeds` (rad/s) and `positions` (rad) are those of the last `measure`."""
+    """Owns the drivers. `feedback` is that of the last `measure`, `setpoints` are those of the last `command`."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -24,11 +26,8 @@ class Motors:
         }
         size = len(robot.names)
         self._standstill = tuple(STANDSTILL * limits.speed for limits in robot.limits)
-        self.feedback: list[MotorFeedback] = [MotorFeedback(MotorState.SILENT)] * size
-        self.speeds: list[float | None] = [None] * size
-        self.positions: list[float | None] = [None] * size
-        self.torques: list[float | None] = [None] * size  # N m
-        self.setpoints: list[float | None] = [None] * size  # rad/s; None: released
+        self.feedback: tuple[MotorFeedback, ...] = (MotorFeedback(MotorState.SILENT),) * size
+        self.setpoints: tuple[float | None, ...] = (None,) * size  # rad/s; None: released, or not told a speed
 
     def receive(self, frames: Sequence[CanFrame]) -> None:
         """Hand every frame to the driver it belongs to; what belongs to nobody is left out."""
@@ -37,59 +36,65 @@ class Motors:
                 if receive(frame):
                     break
 
-    def measure(self, now_ns: int) -> None:
-        """Bring feedback, speeds and positions up to date; those of a silent motor are unknown."""
+    def measure(self, now_ns: int, dt: float) -> Measured:
+        """What the joints report now; of a silent one nothing is known."""
+        size = len(self._robot.names)
+        feedbacks = list(self.feedback)
+        speeds: list[float | None] = [None] * size
+        positions: list[float | None] = [None] * size
+        torques: list[float | None] = [None] * size
         for group in self._robot.groups:
             for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns), strict=True):
-                self.feedback[index] = feedback
-                if feedback.state is MotorState.SILENT:
-                    self.speeds[index] = self.positions[index] = self.torques[index] = None
-                else:
+                feedbacks[index] = feedback
+                if feedback.state is not MotorState.SILENT:
                     gear = self._robot.transmissions[index]
-                    self.speeds[index], self.positions[index] = gear.output(feedback.velocity, feedback.position)
-                    self.torques[index] = gear.output_torque(feedback.torque)
+                    speeds[index], positions[index] = gear.output(feedback.velocity, feedback.position)
+                    torques[index] = gear.output_torque(feedback.torque)
+        self.feedback = tuple(feedbacks)
+        ages_ns = tuple([feedback.age_ns for feedback in feedbacks])
+        return Measured(now_ns, dt, tuple(speeds), tuple(positions), tuple(torques), ages_ns)
 
-    def command(self, setpoints: list[float | None], *, braking: bool, dt: float, now_ns: int) -> tuple[CanFrame, ...]:
-        """Frames of this cycle. A setpoint of None releases its motor; `braking` asks the controllers' own brake."""
-        self.setpoints = setpoints
+    def command(self, commands: Sequence[JointCommand], measured: Measured) -> tuple[CanFrame, ...]:
+        """Frames of this cycle."""
+        self.setpoints = tuple([command.value if command.kind in _SPEEDS else None for command in commands])
         frames: list[CanFrame] = []
         for group in self._robot.groups:
-            commands = [self._command(index, braking=braking, dt=dt) for index in group.indices]
-            frames += group.driver.command(commands, now_ns=now_ns)
+            told = [self._command(index, commands[index], measured) for index in group.indices]
+            frames += group.driver.command(told, now_ns=measured.now_ns)
         return tuple(frames)
 
-    def turning(self) -> bool | None:
+    def turning(self, measured: Measured) -> bool | None:
         """Whether any measured wheel turns; None: not one is measured."""
-        measured = None
-        for speed, limit in zip(self.speeds, self._standstill, strict=True):
+        known = None
+        for speed, limit in zip(measured.speeds, self._standstill, strict=True):
             if speed is not None:
                 if abs(speed) > limit:
                     return True
-                measured = False
-        return measured
+                known = False
+        return known
 
-    def samples(self, *, driving: bool, dt: float, expected: Callable[[int], float | None]) -> list[Sample]:
+    def samples(self, measured: Measured, *, driving: bool, expected: Callable[[int], float | None]) -> list[Sample]:
         """What the detectors look at: the last measurement against the setpoint it answers to."""
-        fresh_ns = dt * 1e9
+        fresh_ns = measured.dt * 1e9
         return [
             Sample(
                 self.setpoints[index],
-                self.speeds[index],
-                self.positions[index],
-                self.torques[index],
-                feedback.age_ns is not None and feedback.age_ns <= fresh_ns,
+                measured.speeds[index],
+                measured.positions[index],
+                measured.torques[index],
+                age_ns is not None and age_ns <= fresh_ns,
                 driving,
-                dt,
+                measured.dt,
                 partial(expected, index),
             )
-            for index, feedback in enumerate(self.feedback)
+            for index, age_ns in enumerate(measured.ages_ns)
         ]
 
-    def headroom(self) -> float:
+    def headroom(self, measured: Measured) -> float:
         """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
         lag = 0.0
         for setpoint, speed, torque, limits in zip(
-            self.setpoints, self.speeds, self.torques, self._robot.limits, strict=True
+            self.setpoints, measured.speeds, measured.torques, self._robot.limits, strict=True
         ):
             if setpoint is None or speed is None:
                 continue
@@ -124,27 +129,31 @@ class Motors:
         """Frames that brake every motor when the core can no longer be trusted."""
         return [frame for group in self._robot.groups for frame in group.driver.stop_frames(now_ns=now_ns)]
 
-    def status(self) -> tuple[MotorStatus, ...]:
+    def status(self, measured: Measured) -> tuple[MotorStatus, ...]:
         """Every motor in words and numbers."""
-        return tuple(map(self._status, range(len(self.feedback))))
+        return tuple([self._status(index, measured) for index in range(len(self.feedback))])
 
-    def _command(self, index: int, *, braking: bool, dt: float) -> MotorCommand:
-        setpoint, loop, gear = self.setpoints[index], self._robot.speed_loops[index], self._robot.transmissions[index]
-        if setpoint is None:
-            if loop is not None:
-                loop.reset()
-            return COAST
+    def _command(self, index: int, command: JointCommand, measured: Measured) -> MotorCommand:
+        """From the joint to the shaft. Without a speed loop of its own the controller gets the torque of ours."""
+        loop, gear = self._robot.speed_loops[index], self._robot.transmissions[index]
+        kind = command.kind
         if loop is not None:
-            return MotorCommand(CommandKind.TORQUE, gear.motor_torque(loop.torque(setpoint, self.speeds[index], dt)))
-        return BRAKE if braking else MotorCommand(CommandKind.VELOCITY, gear.motor_speed(setpoint))
+            if kind is CommandKind.VELOCITY or kind is CommandKind.BRAKE:
+                speed, dt = measured.speeds[index], measured.dt
+                torque = loop.torque(command.value, speed, dt, feed_forward=command.feed_forward, limit=command.limit)
+                return MotorCommand(CommandKind.TORQUE, gear.motor_torque(torque))
+            loop.reset()
+        if kind is CommandKind.COAST:
+            return COAST
+        return BRAKE if kind is CommandKind.BRAKE else gear.motor_command(command)
 
-    def _status(self, index: int) -> MotorStatus:
+    def _status(self, index: int, measured: Measured) -> MotorStatus:
         feedback = self.feedback[index]
         return MotorStatus(
             name=self._robot.names[index],
             state=feedback.state.value,
             commanded=self.setpoints[index],
-            measured=self.speeds[index],
+            measured=measured.speeds[index],
             torque=self._robot.transmissions[index].output_torque(feedback.torque),
             voltage=feedback.voltage,
             temperature_c=feedback.temperature_c,

@@ -2,24 +2,30 @@
 
 Displacements (not speeds) are integrated, so a late or lost frame costs nothing: the next one carries the way. The
 covariance grows with the way driven and, where the wheels carry redundancy, with the motion they cannot explain.
+Where a gyro tells the heading, the turn is the gyro's and the wheels tell the way only.
 """
 
 from collections.abc import Sequence
-from math import cos, sin
+from math import remainder, tau
 
+from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Kinematics
-from gateway.types import Odometry, Pose, Twist
+from gateway.types import ZERO_TWIST, Odometry, Pose, Twist
 
 # Variance per metre and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard floor.
 # Source: chosen by us until a robot has been measured; stated in the README.
 _VARIANCE_PER_METRE = 4e-4  # m^2/m, along and across
 _HEADING_VARIANCE_PER_RADIAN = 4e-4  # rad^2/rad
 _HEADING_VARIANCE_PER_METRE = 1e-4  # rad^2/m
+# A gyro's heading wanders with time and errs by its scale: 1 mrad after a second, 1 % of a turn of 1 rad.
+# Source: chosen by us for an uncalibrated MEMS gyro.
+_GYRO_VARIANCE_PER_SECOND = 1e-6  # rad^2/s
+_GYRO_VARIANCE_PER_RADIAN = 1e-4  # rad^2/rad
 _SLIP_CORRELATION = 1.0  # s; a slip goes on for about so long, so its error adds up over that time
 _SLIP_LEVER = 0.25  # m; turns an unexplained rim speed into a yaw rate error
 _LONGEST_GAP = 0.1  # s; a controller that reports more rarely counts as silent anyway
 _JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
-_SMALL_ANGLE = 1e-6
+_SMALL_ANGLE = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
 
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
 # Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
@@ -31,11 +37,14 @@ def advance(pose: Pose, delta: Twist) -> Pose:
     """The pose after a body displacement (m, m, rad) along the exact arc of constant velocity (SE(2) exponential)."""
     dx, dy, turn = delta
     if abs(turn) < _SMALL_ANGLE:
-        along, across = 1.0 - turn * turn / 6.0, turn / 2.0
+        square = turn * turn
+        along = 1.0 + square * (-1 / 6 + square / 120.0)
+        across = turn * (0.5 + square * (-1 / 24 + square / 720.0))
     else:
-        along, across = sin(turn) / turn, (1.0 - cos(turn)) / turn
+        s, c = sin_cos(turn)
+        along, across = s / turn, (1.0 - c) / turn
     forward, left = along * dx - across * dy, across * dx + along * dy
-    c, s = cos(pose.theta), sin(pose.theta)
+    s, c = sin_cos(pose.theta)
     return Pose(pose.x + c * forward - s * left, pose.y + s * forward + c * left, pose.theta + turn)
 
 
@@ -52,9 +61,14 @@ class WheelOdometry:
         self._jumped: list[int] = []
         self._covariance: Covariance = _FIRST_COVARIANCE
         self._reference = self.pose  # pose at which the covariance was last brought up to date
+        self._heading: float | None = None  # of the gyro, in the cycle before
+        # Since then: what errs in position, and what errs in heading (the wheels' share of it, and the gyro's).
         self._way = 0.0
-        self._turned = 0.0
         self._slip_variance = 0.0  # integral of residual^2 dt, m^2/s
+        self._turned = 0.0
+        self._turning_way = 0.0
+        self._turning_slip_variance = 0.0
+        self._gyro_variance = 0.0  # rad^2
 
     def deltas(self, positions: Sequence[float | None], now_ns: int) -> tuple[list[float | None], list[int]]:
         """Way of every joint since the last call, rad, and the joints that moved further than they can turn.
@@ -73,13 +87,29 @@ class WheelOdometry:
         self._positions[index] = None
 
     def update(
-        self, deltas: Sequence[float | None], angles: Sequence[float | None], *, residual: float | None, dt: float
+        self,
+        deltas: Sequence[float | None],
+        angles: Sequence[float | None],
+        *,
+        residual: float | None,
+        dt: float,
+        heading: float | None = None,
     ) -> None:
-        """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s."""
-        if any(deltas):
-            self._move(deltas, angles)
-        if residual:
-            self._slip_variance += residual * residual * dt
+        """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s.
+
+        `heading`: of a gyro, rad, from any zero and wrapped or not; None while it is silent. Its change since the cycle
+        before is the turn, in place of that of the wheels; the first after a silence only tells where it counts from.
+        """
+        turn = self._turn(heading)
+        way = self._displacement(deltas, angles) if any(deltas) else None
+        if way is not None or turn:
+            self._move(way or ZERO_TWIST, turn)
+        slip_variance = residual * residual * dt if residual else 0.0
+        self._slip_variance += slip_variance
+        if turn is None:
+            self._turning_slip_variance += slip_variance
+        else:
+            self._gyro_variance += _GYRO_VARIANCE_PER_SECOND * dt + _GYRO_VARIANCE_PER_RADIAN * abs(turn)
 
     def read(self, twist: Twist | None, residual: float | None) -> Odometry:
         """Pose with its covariance brought up to date."""
@@ -104,19 +134,30 @@ class WheelOdometry:
             return None
         return delta
 
-    def _move(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> None:
+    def _turn(self, heading: float | None) -> float | None:
+        """What the gyro turned since the cycle before, rad within half a turn; None: unknown."""
+        before, self._heading = self._heading, heading
+        return None if heading is None or before is None else remainder(heading - before, tau)
+
+    def _displacement(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> Twist | None:
+        """Of the body, as the wheels have it: m, m, rad; None where they do not determine it."""
         if self._kinematics.steered:  # the geometry of mid-way serves the whole way to second order
             positions = [
                 None if position is None else position - 0.5 * (delta or 0.0)
                 for position, delta in zip(positions, deltas, strict=True)
             ]
         estimate = self._kinematics.twist(deltas, positions)
-        if estimate is None:
-            return
-        delta = estimate.twist
-        self.pose = advance(self.pose, delta)
-        self._way += abs(delta.vx) + abs(delta.vy)
-        self._turned += abs(delta.wz)
+        return None if estimate is None else estimate.twist
+
+    def _move(self, way: Twist, turn: float | None) -> None:
+        length = abs(way.vx) + abs(way.vy)
+        self._way += length
+        if turn is None:
+            self._turned += abs(way.wz)
+            self._turning_way += length
+            self.pose = advance(self.pose, way)
+        else:
+            self.pose = advance(self.pose, Twist(way.vx, way.vy, turn))
 
     def _grow(self) -> None:
         """P <- F P F' + Q for the motion since the last call; F moves the lever of the heading error."""
@@ -125,8 +166,9 @@ class WheelOdometry:
         across = _VARIANCE_PER_METRE * self._way + slip
         heading = (
             _HEADING_VARIANCE_PER_RADIAN * self._turned
-            + _HEADING_VARIANCE_PER_METRE * self._way
-            + slip / (_SLIP_LEVER * _SLIP_LEVER)
+            + _HEADING_VARIANCE_PER_METRE * self._turning_way
+            + self._turning_slip_variance * _SLIP_CORRELATION / (_SLIP_LEVER * _SLIP_LEVER)
+            + self._gyro_variance
         )
         xx, xy, xt, _, yy, yt, _, _, tt = self._covariance
         new_xx = xx - 2.0 * dy * xt + dy * dy * tt + across
@@ -134,4 +176,5 @@ class WheelOdometry:
         new_yy = yy + 2.0 * dx * yt + dx * dx * tt + across
         new_xt, new_yt, new_tt = xt - dy * tt, yt + dx * tt, tt + heading
         self._covariance = (new_xx, new_xy, new_xt, new_xy, new_yy, new_yt, new_xt, new_yt, new_tt)
-        self._reference, self._way, self._turned, self._slip_variance = self.pose, 0.0, 0.0, 0.0
+        self._reference, self._way, self._slip_variance = self.pose, 0.0, 0.0
+        self._turned = self._turning_way = self._turning_slip_variance = self._gyro_variance = 0.0

@@ -32,7 +32,7 @@ State = dict[str, Node]
 # Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
 OWNERS: Mapping[str, frozenset[str]] = {
     "gateway.core.engine.Engine": frozenset(
-        {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_top_speeds", "_velocity"}
+        {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
@@ -47,17 +47,20 @@ OWNERS: Mapping[str, frozenset[str]] = {
     "gateway.core.detectors.FrozenEncoderDetector": frozenset({"_limits"}),
     "gateway.core.detectors.RunawayDetector": frozenset({"_limits"}),
     "gateway.core.detectors.FollowingDetector": frozenset({"_limits"}),
-    "gateway.core.detectors.TwinDetector": frozenset({"_limits"}),
+    "gateway.core.detectors.ReversedDetector": frozenset(),
+    "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
     "gateway.core.detectors.SlipDetector": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
     ),
+    "gateway.control.drive_law.SpeedLaw": frozenset({"_kinematics", "_period", "_top_speeds", "_velocity"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(
         {"braking_raw_per_rpm", "command_period_ns", "raw_limit", "raw_per_torque", "rest_rpm", "slot", "spec"}
         | {"timeout_ns", "variant"}
     ),
+    "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
     "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_capabilities", "_routes"}),
     "drivers.odrive.axis.Axis": frozenset(
         {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "zero_frame"}
@@ -246,17 +249,17 @@ def _ours(name: str, base: type) -> Any:  # noqa: ANN401
     return kind
 
 
-_known: dict[tuple[type, int], tuple[str, ...]] = {}
+_known: dict[tuple[object, ...], tuple[str, ...]] = {}
 
 
 def _attributes(owner: object) -> tuple[str, ...]:
     """Names of what an owner has and may change: of slots, of a compiled class, or of its dict as it is now."""
     kind, own = type(owner), getattr(owner, "__dict__", ())
-    found = _known.get((kind, len(own)))  # none is ever deleted
+    found = _known.get((kind, *own))
     if found is None:
         names = set(own)
         for base in kind.__mro__:
             names |= {*base.__dict__.get("__slots__", ()), *base.__dict__.get("__mypyc_attrs__", ())}
         names -= OWNERS[_name(kind)]
-        found = _known[kind, len(own)] = tuple(sorted(name for name in names if not name.startswith("__")))
+        found = _known[kind, *own] = tuple(sorted(name for name in names if not name.startswith("__")))
     return found

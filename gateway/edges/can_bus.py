@@ -11,6 +11,9 @@ interface is only down comes back by itself (measured). Whether the robot may mo
 SocketCAN the kernel lets pass only what a driver wants to hear, and error frames: foreign traffic costs the loop
 nothing.
 
+SocketCAN answers at once. Any other adapter may hold its caller, so it is opened, written to and closed by a thread of
+its own (`gateway.edges.can_thread`) and counts as down until it is open; the words of a failure come a cycle later.
+
 Stamps are trusted of SocketCAN only: those of other adapters count from their own start, or drift; their frames get
 the time of the cycle in which they are taken. A message that no classic bus can carry is dropped and counted.
 """
@@ -31,6 +34,7 @@ from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.core.assembly import Group, build
 from gateway.edges.can_adapter import AdapterError, ask, epoch_ns, flaw, frame_of, message_of
 from gateway.edges.can_errors import meanings
+from gateway.edges.can_thread import AdapterThread
 from gateway.edges.claims import Claims, InUseError
 from gateway.types import BusEvent, BusEventKind
 
@@ -101,7 +105,7 @@ class CanBuses:
     def close(self) -> None:
         """Close every bus and let others command its motors."""
         for channel in self._channels.values():
-            channel.close()
+            channel.finish()
             channel.claims.release()
 
 
@@ -116,6 +120,8 @@ class _Channel:
         self._kernel_stamps = config.interface == "socketcan"
         self._filters = [wanted for group in groups for wanted in group.driver.receive_filters()]
         self._bus: can.BusABC | None = None
+        self._thread = None if config.interface == "socketcan" else AdapterThread(config.name)
+        self._opening = False  # and so long down, for no other reason
         self._events: list[BusEvent] = []
         self._down = False
         self._bus_off = False
@@ -125,20 +131,41 @@ class _Channel:
         self._stamp_ns = 0
 
     def _open(self) -> None:
-        """Open the interface; bit rate matters only where python-can sets it (not on socketcan)."""
-        if self._config.interface == "socketcan":
-            _check_exists(self._config.channel)  # python-can would leak its socket on a missing interface
-        bus = can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
+        """Open a SocketCAN interface."""
+        _check_exists(self._config.channel)  # python-can would leak its socket on a missing interface
+        bus = self._connected()
         self._bus = bus
         raw = getattr(bus, "socket", None)
         if isinstance(raw, socket.socket):
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-        if self._config.interface == "socketcan":  # elsewhere python-can filters in Python, and error frames away
-            bus.set_filters([_can_filter(wanted) for wanted in self._filters])
+        # Only here: elsewhere python-can filters in Python, and error frames away.
+        bus.set_filters([_can_filter(wanted) for wanted in self._filters])
+
+    def _connected(self) -> can.BusABC:
+        """The interface, open; bit rate matters only where python-can sets it (not on socketcan)."""
+        return can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
+
+    def _open_elsewhere(self, thread: AdapterThread, now_ns: int) -> None:
+        """Begin to open, or take over what is open by now. Raises AdapterError."""
+        self._bus = thread.opened()
+        if self._bus is None and thread.free and now_ns >= self._retry_ns:
+            self._retry_ns = now_ns + REOPEN_NS
+            thread.open(self._connected)
+            if not self._down:
+                self._mark_down(f"{self._config.interface} {self._config.channel} is being opened")
+                self._opening = True
+
+    def finish(self) -> None:
+        """Close for good; of what was sent, the last is still written."""
+        if self._thread is not None:
+            self._thread.finish()
+        self.close()
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
-        if bus is not None:
+        if self._thread is not None:
+            self._thread.close()
+        elif bus is not None:
             try:
                 ask(bus.shutdown)
             except AdapterError as error:
@@ -187,6 +214,9 @@ class _Channel:
             self._unsent = True
             self._event(BusEventKind.TX_DROPPED, "bus is down", len(pending))
             return
+        if self._thread is not None:
+            self._hand_over(self._thread, pending, now_ns)
+            return
         for index, frame in enumerate(pending):
             try:
                 ask(bus.send, message_of(frame), timeout=0)
@@ -197,6 +227,18 @@ class _Channel:
         self._unsent = False
         self._works()
 
+    def _hand_over(self, thread: AdapterThread, frames: Sequence[CanFrame], now_ns: int) -> None:
+        """The same with a slow adapter: only once frames were really written does it work."""
+        try:
+            thread.send([message_of(frame) for frame in frames])
+        except AdapterError as error:
+            self._dropped(error, len(frames), now_ns)
+            return
+        if thread.works:
+            self._stuck = 0
+            self._unsent = False
+            self._works()
+
     def _dropped(self, error: AdapterError, number: int, now_ns: int) -> None:
         self._event(BusEventKind.TX_DROPPED, f"not sent: {error}", number)
         self._unsent = True
@@ -204,7 +246,8 @@ class _Channel:
         if not _is_full(error):
             self._fail("send", error, now_ns)
         elif self._stuck >= STUCK_CYCLES:
-            self._mark_down(f"send queue full for {STUCK_CYCLES} cycles: nobody acknowledges")
+            why = "nobody acknowledges" if self._thread is None else "a write does not return"
+            self._mark_down(f"send queue full for {STUCK_CYCLES} cycles: {why}")
 
     def _fail(self, action: str, error: AdapterError, now_ns: int) -> None:
         self._bus_off = False
@@ -214,19 +257,19 @@ class _Channel:
         self._mark_down(f"{action}: {error}")
 
     def _reopen(self, now_ns: int) -> bool:
-        if now_ns < self._retry_ns:
-            return False
-        self._retry_ns = now_ns + REOPEN_NS
         try:
-            ask(self._open)
+            if self._thread is not None:
+                self._open_elsewhere(self._thread, now_ns)
+            elif now_ns >= self._retry_ns:
+                self._retry_ns = now_ns + REOPEN_NS
+                ask(self._open)
         except AdapterError as error:
             self.close()
             unknown = isinstance(error.__cause__, can.CanInterfaceNotImplementedError)
             if unknown and self._config.interface not in can.VALID_INTERFACES:
                 raise ConfigError("robot file", [f"bus {self._config.name}: interface: {error}"]) from None
             self._mark_down(f"{self._config.interface} {self._config.channel} cannot be opened: {error}")
-            return False
-        return True
+        return self._bus is not None
 
     def _error_frame(self, message: can.Message) -> None:
         for _, _, kind, text in meanings(message.arbitration_id, bytes(message.data)):
@@ -238,14 +281,14 @@ class _Channel:
                 self._bus_off = False
 
     def _mark_down(self, reason: str) -> None:
-        if not self._down:
-            self._down = True
+        if not self._down or self._opening:
+            self._down, self._opening = True, False
             self._event(BusEventKind.DOWN, reason)
 
     def _works(self) -> None:
         """A frame has passed; while the controller is bus-off that is only the kernel's queue taking it."""
         if self._down and not self._bus_off and not self._unsent:
-            self._down = False
+            self._down = self._opening = False
             self._event(BusEventKind.UP, "works again")
 
     def _event(self, kind: BusEventKind, text: str, occurrences: int = 1) -> None:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
+from gateway.core.joint_trust import UNKNOWN
 from gateway.edges.can_link import CanLink
+from gateway.types import Status
 
 MIN_QUEUE = 16  # frames; the service itself keeps at most about ten waiting
 PLAUSIBLE_WALL_S = 1_704_067_200.0  # 2024-01-01: an earlier clock was never set
@@ -136,6 +138,22 @@ def endpoint(text: str, *, robot: str, free: bool, answered: bool, active: bool)
         return Finding(subject, Grade.NOTE, "in use; this client gets no answer (are keys or an access list in use?)")
     cure = f"`ss -ltnp` names the other program; give {robot} another port in zenoh.listen"
     return Finding(subject, Grade.PROBLEM, "another program listens there, or the address is not ours", cure)
+
+
+def joint(motor: str, *, robot: str, absolute: bool, status: Status | None) -> Finding:
+    """Whether the angle of a steered joint is known; `status`: of the running robot, None where it does not tell."""
+    subject, reference = f"joint {motor}", f"drivegate reference {robot} --motor {motor}"
+    told = () if status is None else status.faults
+    unknown = next((fault for fault in told if fault.startswith(f"{motor}: {UNKNOWN}")), None)
+    if unknown is not None:
+        cure = f"bring it to a known angle, then {reference} --angle RAD"
+        return Finding(subject, Grade.PROBLEM, unknown.partition(": ")[2].partition(": ")[0], cure)
+    if status is not None and any(one.name == motor and one.measured is not None for one in status.motors):
+        return Finding(subject, Grade.OK, "its angle is known")
+    if absolute:
+        return Finding(subject, Grade.OK, "its encoder is declared absolute")
+    text = "its encoder is incremental: after every start the robot drives only once the joint was referenced"
+    return Finding(subject, Grade.NOTE, text, f"{reference} after a start, or fit an absolute encoder and declare it")
 
 
 def service(name: str, unit: Unit | None) -> Finding:

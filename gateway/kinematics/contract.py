@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from gateway.kinematics.linear import Matrix
 from gateway.types import Twist
 
-Matrix = npt.NDArray[np.float64]
 MAX_CONDITION = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
 
 
@@ -24,6 +21,23 @@ class Estimate(NamedTuple):
 
     twist: Twist
     residual: float | None
+
+
+class Reach(NamedTuple):
+    """`lost`: twists that no usable motor drives or resists, a basis. `effort`: share of the acceleration that is left.
+
+    The effort holds in every direction, 0 where a direction is lost: what all motors together can push, the usable ones
+    can push that much of.
+    """
+
+    rank: int
+    lost: tuple[Twist, ...]
+    effort: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every direction is reached."""
+        return not self.lost
 
 
 class Kinematics(Protocol):
@@ -42,8 +56,8 @@ class Kinematics(Protocol):
         """Forward kinematics from the wheels that were measured (others None); None when they do not determine it."""
         ...
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
-        """Whether the usable motors alone still reach every direction."""
+    def reach(self, usable: Sequence[bool]) -> Reach:
+        """What the usable motors alone can do, at joint angle zero."""
         ...
 
     def matrix(self) -> Matrix:

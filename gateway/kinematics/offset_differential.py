@@ -10,12 +10,12 @@ The wheel rows are written once, in `_rows`; the forward direction solves the sa
 """
 
 from collections.abc import Sequence
-from math import cos, sin
 from typing import NamedTuple
 
-import numpy as np
-
-from gateway.kinematics.contract import Estimate, GeometryError, Matrix
+from gateway.arithmetic import sin_cos
+from gateway.kinematics.contract import Estimate, GeometryError, Reach
+from gateway.kinematics.linear import Matrix
+from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
 PLATFORM = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
@@ -55,6 +55,7 @@ class OffsetDifferentialKinematics:
         self._offset = axle_offset
         self._lever = track / (2.0 * axle_offset)  # half track over offset: wheel speed per sideways speed
         self._caster = caster
+        self._reach = ReachTable(self.matrix())
 
     def wheel_speeds(self, twist: Twist, positions: Sequence[float | None]) -> list[float] | None:
         """Inverse kinematics (Eqs. 11-12), rad/s; None while the joint angle is unknown."""
@@ -77,14 +78,14 @@ class OffsetDifferentialKinematics:
         vy = (right * lx - left * rx) / determinant
         return Estimate(Twist(vx, vy, joint - px * vx - py * vy), None)
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
+    def reach(self, usable: Sequence[bool]) -> Reach:
         """Three motors for three axes: every one is needed."""
-        return all(usable)
+        return self._reach.of(usable)
 
     def matrix(self) -> Matrix:
         """Wheel matrix with the platform looking along the chassis."""
         (lx, ly), (rx, ry), (px, py) = self._rows(0.0)
-        return np.array([[lx, ly, 0.0], [rx, ry, 0.0], [px, py, 1.0]])
+        return (lx, ly, 0.0), (rx, ry, 0.0), (px, py, 1.0)
 
     def caster_rates(self, twist: Twist, *, phi: float, beta: float) -> CasterRates:
         """Rates of the passive caster swivelled to beta (Eqs. 6 and 7 with +d3 beta rate; n and u of science 0)."""
@@ -92,16 +93,17 @@ class OffsetDifferentialKinematics:
             message = "this robot has no caster"
             raise GeometryError(message)
         trail, position, radius = self._caster
-        heading = beta - phi
-        chassis_rate = (sin(phi) * twist.vx + cos(phi) * twist.vy) / self._offset
-        lateral = cos(heading) * twist.vx + sin(heading) * twist.vy
-        along = sin(heading) * twist.vx - cos(heading) * twist.vy
-        swivel = -(lateral + (trail + position * sin(beta)) * chassis_rate) / trail
-        return CasterRates(swivel, (along - position * cos(beta) * chassis_rate) / radius)
+        (sin_phi, cos_phi), (sin_beta, cos_beta) = sin_cos(phi), sin_cos(beta)
+        sin_heading, cos_heading = sin_cos(beta - phi)
+        chassis_rate = (sin_phi * twist.vx + cos_phi * twist.vy) / self._offset
+        lateral = cos_heading * twist.vx + sin_heading * twist.vy
+        along = sin_heading * twist.vx - cos_heading * twist.vy
+        swivel = -(lateral + (trail + position * sin_beta) * chassis_rate) / trail
+        return CasterRates(swivel, (along - position * cos_beta * chassis_rate) / radius)
 
     def _rows(self, phi: float) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
         """Rad/s of left, right and joint per m/s of (vx, vy); the joint adds wz itself."""
-        c, s = cos(phi), sin(phi)
+        s, c = sin_cos(phi)
         ex, ey, nx, ny = c / self._radius, -s / self._radius, s / self._radius, c / self._radius
         k = self._lever
         return (

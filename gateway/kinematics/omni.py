@@ -9,16 +9,17 @@ pseudo-inverse of the paper is wrong.
 """
 
 from collections.abc import Sequence
-from math import cos, hypot, sin
-from operator import mul
+from math import sqrt
 from typing import NamedTuple, cast
 
-import numpy as np
-
-from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Matrix
+from gateway.arithmetic import dot, sin_cos
+from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
+from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo_inverse, transpose
+from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
 _AXES = 3
+_INVERSE_TOLERANCE = 1e-9
 
 
 class WheelPose(NamedTuple):
@@ -31,10 +32,14 @@ class WheelPose(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Pseudo-inverse and consistency rows of one set of measured wheels, per wheel speed (rad/s)."""
+    """What one set of measured wheels says, per wheel speed (rad/s).
 
-    to_twist: tuple[tuple[float, ...], ...]
-    checks: tuple[tuple[float, ...], ...]
+    `shares`: what each wheel adds to the twist, a column of the pseudo-inverse. `checks`: rows that any rigid motion
+    takes to zero.
+    """
+
+    shares: tuple[tuple[float, float, float], ...]
+    checks: Matrix
 
 
 class OmniKinematics:
@@ -43,13 +48,11 @@ class OmniKinematics:
     steered: tuple[int, ...] = ()
 
     def __init__(self, wheels: Sequence[WheelPose]) -> None:
-        self.rim_matrix = np.array([_rim_row(wheel) for wheel in wheels], dtype=np.float64)
-        self.rim_pinv = _pseudo_inverse(self.rim_matrix)
-        self.slip_projector: Matrix = np.eye(len(wheels)) - self.rim_matrix @ self.rim_pinv
+        self.rim_matrix: Matrix = tuple(_rim_row(wheel) for wheel in wheels)
+        self.rim_pinv = _inverse(self.rim_matrix)
+        self._reach = ReachTable(self.rim_matrix)
         self._radii = tuple(wheel.radius for wheel in wheels)
-        self._rows = tuple(
-            (a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix.tolist(), self._radii, strict=True)
-        )
+        self._rows = tuple((a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix, self._radii, strict=True))
         self._all = (True,) * len(wheels)
         self._solutions: dict[tuple[bool, ...], _Solution | None] = {self._all: self._solve(self._all)}
 
@@ -68,19 +71,26 @@ class OmniKinematics:
             solution, known = self._solutions[self._all], cast("list[float]", speeds)
         if solution is None:
             return None
-        x, y, z = solution.to_twist
-        twist = Twist(sum(map(mul, x, known)), sum(map(mul, y, known)), sum(map(mul, z, known)))
+        vx = vy = wz = 0.0
+        for (x, y, z), speed in zip(solution.shares, known, strict=True):
+            vx += x * speed
+            vy += y * speed
+            wz += z * speed
         if not solution.checks:
-            return Estimate(twist, None)
-        return Estimate(twist, hypot(*[sum(map(mul, check, known)) for check in solution.checks]))
+            return Estimate(Twist(vx, vy, wz), None)
+        square = 0.0
+        for check in solution.checks:
+            unexplained = dot(check, known)
+            square += unexplained * unexplained
+        return Estimate(Twist(vx, vy, wz), sqrt(square))
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
+    def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""
-        return self._solution(tuple(usable)) is not None
+        return self._reach.of(usable)
 
     def matrix(self) -> Matrix:
         """Wheel matrix, rad/s per (m/s, m/s, rad/s)."""
-        return np.array(self._rows)
+        return self._rows
 
     def _solution(self, measured: tuple[bool, ...]) -> _Solution | None:
         if measured not in self._solutions:
@@ -88,36 +98,41 @@ class OmniKinematics:
         return self._solutions[measured]
 
     def _solve(self, measured: tuple[bool, ...]) -> _Solution | None:
-        rows = self.rim_matrix[list(measured)]
+        rows = tuple(row for row, known in zip(self.rim_matrix, measured, strict=True) if known)
         try:
-            inverse = _pseudo_inverse(rows)
+            inverse = _inverse(rows)
         except GeometryError:
             if all(measured):
                 raise
             return None
-        left, _, _ = np.linalg.svd(rows)
-        radii = np.array(self._radii)[list(measured)]
-        inverse, checks = inverse * radii, left[:, _AXES:].T * radii
-        return _Solution(tuple(map(tuple, inverse.tolist())), tuple(map(tuple, checks.tolist())))
+        radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
+        x, y, z = _scaled(inverse, radii)
+        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(kernel(transpose(rows)), radii))
 
 
 def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
-    drive_x, drive_y = -sin(wheel.axis_angle), cos(wheel.axis_angle)
-    return drive_x, drive_y, drive_y * wheel.x - drive_x * wheel.y
+    sine, cosine = sin_cos(wheel.axis_angle)
+    return -sine, cosine, cosine * wheel.x + sine * wheel.y
 
 
-def _pseudo_inverse(rows: Matrix) -> Matrix:
+def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
+    """Each column times its factor."""
+    return tuple(tuple(part * factor for part, factor in zip(row, factors, strict=True)) for row in rows)
+
+
+def _inverse(rows: Matrix) -> Matrix:
     """D+ with D+ D = I asserted; scaled to the lever arm first so that metres and radians compare."""
     if len(rows) < _AXES:
         message = f"{len(rows)} wheel(s) cannot drive three axes"
         raise GeometryError(message)
-    lever = float(np.max(np.abs(rows[:, 2]))) or 1.0
-    condition = float(np.linalg.cond(rows / [1.0, 1.0, lever]))
-    if not condition <= MAX_CONDITION:
-        message = f"wheel directions are not independent: condition {condition:.3g}, allowed up to {MAX_CONDITION:.0e}"
+    lever = max(abs(row[2]) for row in rows) or 1.0
+    worst = condition(_scaled(rows, (1.0, 1.0, 1.0 / lever)))
+    if not worst <= MAX_CONDITION:
+        message = f"wheel directions are not independent: condition {worst:.3g}, allowed up to {MAX_CONDITION:.0e}"
         raise GeometryError(message)
-    inverse = np.asarray(np.linalg.pinv(rows), dtype=np.float64)
-    if not np.allclose(inverse @ rows, np.eye(_AXES), atol=1e-9):
-        message = "pseudo-inverse of the wheel matrix is not its inverse"
-        raise GeometryError(message)
+    inverse = pseudo_inverse(rows)
+    for place, row in enumerate(product(inverse, rows)):
+        if any(abs(part - (column == place)) > _INVERSE_TOLERANCE for column, part in enumerate(row)):
+            message = "pseudo-inverse of the wheel matrix is not its inverse"
+            raise GeometryError(message)
     return inverse

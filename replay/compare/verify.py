@@ -29,6 +29,7 @@ from gateway.core.frame_words import FrameWords, fields, raw
 from gateway.types import Inputs, Outputs
 from replay.compare.replay import Replay
 from replay.sessions.reader import RecordedOutputs, Session
+from replay.sessions.software import change
 
 PROGRESS_CYCLES = 1000
 EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
@@ -51,6 +52,7 @@ class Verdict(NamedTuple):
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
     otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
     those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
+    `software_change`: only where something differs, what of the software is not what it was.
     """
 
     identical: bool
@@ -63,6 +65,7 @@ class Verdict(NamedTuple):
     problem: str | None
     refused: str | None
     exit_code: int
+    software_change: str | None = None
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
@@ -123,6 +126,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
         problem=problem,
         refused=replay.refused,
         exit_code=exit_code,
+        software_change=None if difference is None else change(session.header),
     )
 
 

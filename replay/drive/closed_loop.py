@@ -14,6 +14,7 @@ from gateway.config import RobotConfig
 from gateway.core.engine import Engine
 from gateway.types import Inputs, Mode, Outputs, Request, RequestKind, TwistCommand
 from replay.sim.bus import SimulatedBus
+from replay.sim.plants.contract import Plant
 from replay.sim.robot import SimulatedRobot
 
 FIRST_NS = 1_000_000_000_000  # the first cycle; far from zero, as a monotonic clock is
@@ -23,14 +24,20 @@ Cycle = tuple[Inputs, Outputs]
 class ClosedLoop:
     """Steps engine and world together; `bus` is there to break, `bus.robot.truth` to look at.
 
-    `joint_angles`: where motors stand at the start, rad at the output from the joint's zero.
+    `joint_angles`: where motors stand at the start, rad at the output from the joint's zero. `plant`: instead of the
+    one of this chassis kind.
     """
 
     def __init__(
-        self, config: RobotConfig, *, first_ns: int = FIRST_NS, joint_angles: Mapping[str, float] | None = None
+        self,
+        config: RobotConfig,
+        *,
+        first_ns: int = FIRST_NS,
+        joint_angles: Mapping[str, float] | None = None,
+        plant: Plant | None = None,
     ) -> None:
         self.config = config
-        self.bus = SimulatedBus(config, SimulatedRobot(config, joint_angles))
+        self.bus = SimulatedBus(config, SimulatedRobot(config, joint_angles, plant=plant))
         self.engine = Engine(config)
         self.period_ns = round(1e9 / config.loop.rate)
         self.next_ns = first_ns

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from gateway.config import Source
 from gateway.types import Twist, TwistCommand, TwistFrame
 
-SENDER = "scenario"
+SENDER = "scenario"  # of every source, unless told
 _SECOND_NS = 1_000_000_000
 
 
@@ -18,6 +18,7 @@ class Stream:
     period_ns: int
     due_ns: int
     stamped: bool
+    sender: str
 
 
 class Commanders:
@@ -29,10 +30,10 @@ class Commanders:
         self._newest: dict[str, TwistCommand] = {}
         self._frozen_since_ns: int | None = None
 
-    def stream(self, source: str, twist: Twist, *, rate: float, stamped: bool, now_ns: int) -> None:
-        """From now on this source sends this twist."""
+    def stream(self, source: str, twist: Twist, *, rate: float, stamped: bool, sender: str, now_ns: int) -> None:
+        """From now on this sender sends this twist as this source."""
         self.send(now_ns)
-        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped)
+        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped, sender)
 
     def silence(self, source: str, now_ns: int) -> None:
         """This source sends nothing any more."""
@@ -45,7 +46,13 @@ class Commanders:
             while stream.due_ns <= until_ns:
                 sequence = self._sequences[stream.source] = self._sequences.get(stream.source, -1) + 1
                 self._newest[stream.source] = TwistCommand(
-                    stream.source, stream.twist, TwistFrame.BODY, sequence, stream.due_ns, SENDER, stream.stamped
+                    stream.source,
+                    stream.twist,
+                    TwistFrame.BODY,
+                    sequence,
+                    stream.due_ns,
+                    stream.sender,
+                    stream.stamped,
                 )
                 stream.due_ns += stream.period_ns
 

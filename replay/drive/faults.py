@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
-from replay.sim.plants.rigid_body import CHASSIS_MODELS
+from replay.sim.plants import PLANTS
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 
@@ -172,19 +172,19 @@ def _delay_none(broken: Broken) -> None:
 
 
 def _push(broken: Broken) -> None:
-    broken.world.robot.dynamics.push = broken.value
+    broken.world.robot.set_push(broken.value)
 
 
 def _push_none(broken: Broken) -> None:
-    broken.world.robot.dynamics.push = 0.0
+    broken.world.robot.set_push(0.0)
 
 
 def _tilt(broken: Broken) -> None:
-    broken.world.robot.dynamics.slope = broken.value
+    broken.world.robot.set_slope(broken.value)
 
 
 def _level(broken: Broken) -> None:
-    broken.world.robot.dynamics.slope = 0.0
+    broken.world.robot.set_slope(0.0)
 
 
 def _ground(broken: Broken) -> None:
@@ -294,5 +294,5 @@ def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: s
 
 def wheels(config: RobotConfig) -> tuple[str, ...]:
     """Motors that drive a wheel, in chassis order."""
-    radii = CHASSIS_MODELS[config.robot.kind](config.robot).wheel_radii
-    return tuple(name for name, radius in zip(config.robot.motor_names(), radii, strict=True) if radius is not None)
+    names = config.robot.motor_names()
+    return tuple(names[joint] for joint in PLANTS[config.robot.kind](config.robot).wheels)

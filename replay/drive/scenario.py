@@ -159,7 +159,14 @@ class _Drive:
 
     def _command(self, command: Command, now_ns: int) -> None:
         twist = Twist(command.vx, command.vy, command.wz)
-        self._commanders.stream(command.source, twist, rate=command.rate, stamped=command.stamped, now_ns=now_ns)
+        self._commanders.stream(
+            command.source,
+            twist,
+            rate=command.rate,
+            stamped=command.stamped,
+            sender=command.sender,
+            now_ns=now_ns,
+        )
 
     def _request(self, kind: RequestKind, angle: float | None, now_ns: int) -> None:
         reference = kind is RequestKind.REFERENCE

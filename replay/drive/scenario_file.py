@@ -10,6 +10,7 @@ from gateway import robot_files
 from gateway.config import ConfigError, Name, RobotConfig, parse_as, read
 from gateway.edges.messages import MAX_SPEED, MAX_TURN
 from gateway.types import Mode
+from replay.drive.commanders import SENDER
 from replay.drive.faults import RULES, FaultKind, Target, wheels
 
 MAX_SECONDS = 3600.0
@@ -27,7 +28,10 @@ class _Section(BaseModel):
 
 
 class Command(_Section):
-    """A twist that a source streams until it is told something else; `stamped`: with the time of sending."""
+    """A twist that a source streams until it is told something else; `stamped`: with the time of sending.
+
+    `sender`: which process sends as this source.
+    """
 
     source: Name
     vx: Speed
@@ -35,6 +39,7 @@ class Command(_Section):
     wz: Turn
     rate: Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")] = 50.0
     stamped: bool = False
+    sender: Name = SENDER
 
 
 class Fault(_Section):

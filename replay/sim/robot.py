@@ -1,4 +1,4 @@
-"""The simulated robot: motor controllers on a moving chassis, advanced in fixed substeps. It knows no bus."""
+"""The simulated robot: motor controllers on a moving plant, advanced in fixed substeps. It knows no bus."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.controllers.dji import SimulatedDji
 from replay.sim.controllers.odrive import SimulatedODrive
-from replay.sim.plants.rigid_body import CHASSIS_MODELS, Dynamics
+from replay.sim.plants import PLANTS
+from replay.sim.plants.contract import Plant
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,
@@ -52,17 +53,19 @@ class Drivetrain:
 
 
 class SimulatedRobot:
-    """Devices by motor name and the dynamics they drive. `start` sets the time origin; substeps count from it.
+    """Devices by motor name and the plant they drive. `start` sets the time origin; substeps count from it.
 
-    `joint_angles`: where motors stand before the start, rad at the output from the joint's zero.
+    `joint_angles`: where motors stand before the start, rad at the output from the joint's zero. `plant`: instead of
+    the one of this chassis kind.
     """
 
-    def __init__(self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None) -> None:
-        self._robot = config.robot
-        self.dynamics = Dynamics(CHASSIS_MODELS[config.robot.kind](config.robot))
+    def __init__(
+        self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None, *, plant: Plant | None = None
+    ) -> None:
+        self._plant = PLANTS[config.robot.kind](config.robot) if plant is None else plant
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
-            for motor, inertia in zip(config.motors_in_order(), self.dynamics.reflected_inertia, strict=True)
+            for motor, inertia in zip(config.motors_in_order(), self._plant.reflected_inertia, strict=True)
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
         self._places = {name: place for place, name in enumerate(self.devices)}
@@ -72,7 +75,7 @@ class SimulatedRobot:
         self._drivetrains: dict[int, Drivetrain] = {}  # only of those joints where something is wrong
         self._torques = [0.0] * len(self._joints)
         given = joint_angles or {}
-        self.dynamics.angles = tuple(given.get(name, 0.0) for name in self.devices)
+        self._plant.place([given.get(name, 0.0) for name in self.devices])
         self._time_ns: int | None = None
 
     @property
@@ -82,15 +85,15 @@ class SimulatedRobot:
 
     @property
     def truth(self) -> Truth:
-        dynamics = self.dynamics
+        plant = self._plant
         return Truth(
             time_ns=self._time(),
-            pose=dynamics.pose,
-            twist=dynamics.twist,
-            joint_angles=tuple(a + joint.zero for a, joint in zip(dynamics.angles, self._joints, strict=True)),
-            joint_rates=dynamics.rates,
+            pose=plant.pose,
+            twist=plant.twist,
+            joint_angles=tuple(a + joint.zero for a, joint in zip(plant.angles, self._joints, strict=True)),
+            joint_rates=plant.rates,
             joint_torques=tuple(self._torques),
-            chassis_angle=dynamics.chassis_angle,
+            chassis_angle=plant.chassis_angle,
         )
 
     def start(self, now_ns: int) -> None:
@@ -104,13 +107,13 @@ class SimulatedRobot:
         time_ns = self._time() + STEP_NS
         while time_ns <= now_ns:
             self._time_ns = time_ns
-            self.dynamics.step(self._torques)
+            self._plant.step(self._torques)
             self._torques = [
                 joint.device.step(shaft, time_ns) * joint.scale
                 for joint, shaft in zip(self._joints, self._shafts(), strict=True)
             ]
             for place, drivetrain in self._drivetrains.items():
-                self._torques[place] = drivetrain.torque(self._torques[place], self.dynamics.rates[place])
+                self._torques[place] = drivetrain.torque(self._torques[place], self._plant.rates[place])
             for twin, shaft in self._twins.values():
                 twin.step(shaft, time_ns)
             time_ns += STEP_NS
@@ -124,14 +127,21 @@ class SimulatedRobot:
         self._shifts[motor] = self._shifts.get(motor, 0.0) + angle
         self.devices[motor].shift_encoder(angle * self._joints[self._places[motor]].scale)
 
+    def set_push(self, force: float) -> None:
+        """So many N along world x, at the centre of mass."""
+        self._plant.push = force
+
+    def set_slope(self, angle: float) -> None:
+        """The ground rises along world x, rad."""
+        self._plant.slope = angle
+
     def set_mass(self, mass: float | None) -> None:
         """So many kg in all, the change over the centre; None: as in the robot file."""
-        body = self._robot.body if mass is None else self._robot.body.model_copy(update={"mass": mass})
-        self.dynamics.load(CHASSIS_MODELS[self._robot.kind](self._robot.model_copy(update={"body": body})))
+        self._plant.set_mass(mass)
 
     def set_friction(self, motor: str, friction: float) -> None:
         """Coefficient of friction under the wheel of this motor; infinite: it does not slip."""
-        self.dynamics.set_friction(self._places[motor], friction)
+        self._plant.set_friction(self._places[motor], friction)
 
     def add_twin(self, motor: str, angle: float) -> SimulatedDevice:
         """A second controller that was given the same id; its shaft stands still, so many rad away at the output."""
@@ -154,8 +164,8 @@ class SimulatedRobot:
         self.shift_encoder(motor, -self._shifts.pop(motor, 0.0))
         place = self._places[motor]
         self._drivetrains.pop(place, None)
-        if self.dynamics.can_slip(place):
-            self.dynamics.set_friction(place, inf)
+        if self._plant.can_slip(place):
+            self._plant.set_friction(place, inf)
 
     def _time(self) -> int:
         if self._time_ns is None:
@@ -163,10 +173,10 @@ class SimulatedRobot:
         return self._time_ns
 
     def _shafts(self) -> list[Shaft]:
-        dynamics = self.dynamics
+        plant = self._plant
         return [
             Shaft((angle + joint.zero) * joint.scale, rate * joint.scale)
-            for joint, angle, rate in zip(self._joints, dynamics.angles, dynamics.rates, strict=True)
+            for joint, angle, rate in zip(self._joints, plant.angles, plant.rates, strict=True)
         ]
 
 

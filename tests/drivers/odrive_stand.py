@@ -41,6 +41,12 @@ def story(stand: Bench) -> list[str]:
     return [can_text(frame) for _, frame in stand.sent if not odrive_setpoints(frame)]
 
 
+def times(stand: Bench, text: str) -> list[int]:
+    """When this was sent, ms since it was sent first."""
+    at = [now_ns // 1_000_000 for now_ns, frame in stand.sent if can_text(frame) == text]
+    return [ms - at[0] for ms in at]
+
+
 def fault(stand: Bench) -> tuple[str, str]:
     """Code and text of the latched fault."""
     given = only(stand).fault

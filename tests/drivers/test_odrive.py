@@ -26,6 +26,7 @@ from tests.drivers.odrive_stand import (
     operational,
     stand_of,
     story,
+    times,
 )
 from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, can_frame, can_text, odrive_setpoints, spec
 
@@ -203,6 +204,7 @@ def test_the_watchdog_of_the_controller_is_a_fault_until_the_host_lets_go() -> N
     stand.run(VELOCITY, ms=1000)
     assert only(stand).fault == ("watchdog", "WATCHDOG_TIMER_EXPIRED", False)
     assert device.axis_state == 1
+    assert {can_text(frame) for frame in stand.cycle([VELOCITY])} == {ZERO}
     stand.run(COAST, ms=300)
     assert only(stand).fault is None
     assert only(stand).state is MotorState.IDLE
@@ -317,7 +319,143 @@ def test_a_latched_fault_outlives_silence() -> None:
     assert only(stand).state is MotorState.FAULT
 
 
+def test_why_is_asked_for_ten_times_a_second_and_only_what_is_still_missing() -> None:
+    stand, device = operational("0.5")
+    device.errors, device.axis_state, device.disarm_reason = 0x40, 1, 0x8
+    device.deaf = lambda frame: frame.id == 0x064
+    feed(stand, device.heartbeat())
+    for _ in range(100):
+        stand.cycle([VELOCITY])
+        feed(stand, device.heartbeat())  # one that comes meanwhile begins nothing anew
+    assert story(stand) == ["063#R", "064#R", "07D#R", "064#R", "064#R"]
+    assert times(stand, "064#R") == [0, 100, 200]
+
+
+def test_a_reason_told_late_is_told_all_the_same_and_not_again() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state, device.disarm_reason = 0x200, 1, 0x40
+    device.deaf = lambda frame: frame.id == 0x063
+    feed(stand, device.heartbeat())
+    stand.run(COAST, ms=60)
+    device.deaf = lambda _frame: False
+    stand.run(COAST, ms=100)
+    assert fault(stand)[1] == "DC_BUS_UNDER_VOLTAGE; disarm reason: MISSING_INPUT"
+    stand.driver.clear_faults()
+    stand.run(VELOCITY, ms=1000)
+    device.errors, device.axis_state, device.deaf = 0x4000, 1, lambda frame: frame.id == 0x063
+    feed(stand, device.heartbeat())
+    stand.run(COAST, ms=500)
+    assert fault(stand)[1] == "INVERTER_OVER_TEMP"
+
+
+def test_a_fault_outlives_a_controller_that_goes_off_with_it() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = 0x200, 1
+    feed(stand, device.heartbeat())
+    device.powered = False
+    stand.run(COAST, ms=500)
+    assert fault(stand)[0] == "under_voltage"
+
+
+def test_a_clear_while_why_is_asked_counts() -> None:
+    stand, device = stand_of()
+    device.arms, device.deaf = False, lambda frame: frame.id == 0x063
+    stand.run(VELOCITY, ms=3000, until=lambda: "063#R" in story(stand))
+    assert only(stand).fault is None
+    stand.driver.clear_faults()
+    device.arms = True
+    stand.run(VELOCITY, ms=1000)
+    assert only(stand).state is MotorState.OPERATIONAL
+
+
+def test_a_clear_takes_a_fault_that_is_not_latched_too() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state = WATCHDOG_EXPIRED, 1
+    stand.run(VELOCITY, ms=200)
+    assert only(stand).fault is not None
+    stand.driver.clear_faults()
+    assert only(stand).fault is None
+
+
+def test_clearing_is_asked_for_ten_times_a_second_for_half_a_second() -> None:
+    stand, device = operational()
+    device.errors, device.axis_state, device.deaf = 0x200, 1, lambda frame: frame.id == 0x078
+    stand.run(COAST, ms=500)
+    stand.driver.clear_faults()
+    stand.run(COAST, ms=1000)
+    assert times(stand, CLEAR_06) == [0, 100, 200, 300, 400]
+
+
+def test_release_is_asked_for_ten_times_a_second() -> None:
+    stand, device = operational()
+    device.deaf = lambda frame: can_text(frame) == IDLE
+    stand.run(TORQUE, ms=1000)
+    assert set(story(stand)) == {IDLE}, "the mode is only ever changed in IDLE"
+    assert times(stand, IDLE) == list(range(0, 1000, 100))
+
+
 # --- measurements ---
+
+
+def test_silence_begins_300_ms_after_a_heartbeat_and_50_ms_after_an_estimate() -> None:
+    driver = OdriveDriver(BUS, [spec("0.6")])
+    heartbeat, estimates = can_frame("061#0000000001000000"), can_frame("069#0000000000000000")
+    assert driver.feedback(now_ns=0)[0] == (MotorState.SILENT, *[None] * 8)
+    driver.receive(heartbeat._replace(received_ns=1000 * MS))
+    for heard, silent in ((1000 * MS, 1050 * MS), (1250 * MS, 1300 * MS)):
+        driver.receive(estimates._replace(received_ns=heard))
+        assert driver.feedback(now_ns=heard)[0].age_ns == 0
+        for now_ns, state in ((silent - 1, MotorState.STARTING), (silent, MotorState.SILENT)):
+            assert driver.feedback(now_ns=now_ns)[0].state is state
+    driver.receive(estimates._replace(received_ns=1260 * MS))
+    assert driver.feedback(now_ns=1300 * MS - 1)[0].silence is None
+    words = driver.feedback(now_ns=1300 * MS)[0].silence or ""
+    assert words.startswith("estimates arrive, but Heartbeat has not come for 0.30 s")
+    driver.receive(heartbeat._replace(received_ns=1300 * MS))
+    words = driver.feedback(now_ns=1310 * MS)[0].silence or ""
+    assert words.startswith("heartbeats arrive, but Get_Encoder_Estimates has not come for 0.05 s")
+
+
+@pytest.mark.parametrize("ms", [50, 300])
+def test_an_armed_axis_gets_setpoints_only_while_it_is_heard(ms: int) -> None:
+    """A setpoint in the last nanosecond, and zero from the next on."""
+    stand, device = operational()
+    last_ns = stand.now_ns
+    feed(stand, device.heartbeat())
+    feed(stand, can_frame("069#0000000000000000"))
+    if ms == 300:
+        estimates = can_frame("069#0000000000000000")
+        stand.driver.receive(estimates._replace(received_ns=last_ns + 290 * MS))
+    for now_ns, driven in ((last_ns + ms * MS - 1, True), (last_ns + ms * MS, False)):
+        frames = stand.driver.command([VELOCITY], now_ns=now_ns)
+        assert (can_text(frames[-1]) != ZERO) is driven
+
+
+def test_each_half_of_a_message_counts_for_itself() -> None:
+    stand, device = operational()
+    device.encoder = False
+    feed(stand, can_frame("07C#0000C07F0000803E"))
+    feed(stand, can_frame("077#0000C0410000C07F"))
+    assert (only(stand).torque, only(stand).voltage) == (0.25, 24.0)
+
+
+def test_a_parameter_nobody_asked_for_is_taken_and_dropped() -> None:
+    stand, _ = stand_of(watched=False)
+    feed(stand, can_frame("065#00BC000001000000"))
+
+
+def test_what_it_sends_and_hears() -> None:
+    driver = OdriveDriver(BUS, [spec("0.6", name="m")])
+    assert driver.capabilities == (True, True, False, True, True)
+    assert driver.receive_filters() == ((0x060, 0x7E0, False),)
+    assert driver.ids() == (("odrive node 3 of motor m", 0x060, 0x7E0, False),)
+    assert driver.traffic(loop_rate_hz=200.0) == (
+        ("m setpoint", False, 8, 200.0),
+        ("m Get_Encoder_Estimates", False, 8, 250.0),
+        ("m Heartbeat", False, 8, 10.0),
+    )
+    assert [can_text(frame) for frame in driver.coast_frames()] == [IDLE, ZERO]
+    assert [can_text(frame) for frame in driver.stop_frames(now_ns=0)] == [ZERO]
 
 
 def test_numbers_that_are_none_are_dropped() -> None:

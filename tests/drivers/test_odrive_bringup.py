@@ -25,8 +25,9 @@ from tests.drivers.odrive_stand import (
     only,
     stand_of,
     story,
+    times,
 )
-from tests.drivers.rig import can_frame, can_text, odrive_setpoints
+from tests.drivers.rig import MS, can_frame, can_text, odrive_setpoints
 
 
 def test_bringup_of_06_with_watchdog() -> None:
@@ -211,3 +212,113 @@ def test_a_late_confirmation_of_a_write_is_not_a_read_back() -> None:
     stand.run(VELOCITY, ms=100)
     assert READS[1] in story(stand)
     assert ARM not in story(stand)
+
+
+WATCHDOG_EXPIRED = 0x0100_0000
+
+
+def test_the_version_is_asked_for_ten_times_a_second_and_missed_after_one() -> None:
+    stand, device = stand_of()
+    device.deaf = lambda frame: frame.remote
+    stand.run(VELOCITY, ms=3000, until=lambda: only(stand).fault is not None)
+    assert times(stand, VERSION) == list(range(0, 1001, 100))
+    assert stand.states == [MotorState.FAULT]
+
+
+def test_until_it_is_checked_an_axis_is_starting() -> None:
+    stand, device = stand_of()
+    device.deaf = lambda frame: frame.remote
+    stand.run(COAST, ms=500)
+    assert stand.states == [MotorState.STARTING]
+    stand, _ = stand_of()
+    states = set()
+    for _ in range(125):
+        stand.cycle([VELOCITY])
+        states |= set(stand.states)
+    assert states == {MotorState.SILENT, MotorState.STARTING, MotorState.OPERATIONAL}
+
+
+def test_the_watchdog_is_read_back_after_20_ms_and_written_five_times() -> None:
+    stand, device = stand_of()
+    device.stuck = {188}
+    for _ in range(2):
+        stand.run(COAST, ms=3000)
+        assert fault(stand)[0] == "watchdog_unverified"
+        assert times(stand, WRITES[0]) == [0, 120, 240, 360, 480]
+        assert times(stand, READS[1]) == [0, 120, 240, 360, 480]
+        sent = {text: min(at for at, frame in stand.sent if can_text(frame) == text) for text in (WRITES[0], READS[1])}
+        assert sent[READS[1]] - sent[WRITES[0]] == 20 * MS
+        stand.sent.clear()
+        stand.driver.clear_faults()
+
+
+@pytest.mark.parametrize("endpoint", [188, 189])
+@pytest.mark.parametrize("confirms", [False, True])
+def test_half_a_read_back_is_none(endpoint: int, *, confirms: bool) -> None:
+    stand, device = stand_of()
+    device.confirms_writes = confirms
+    device.deaf = lambda frame: frame.id == 0x064 and frame.data[:2] == bytes((0, endpoint))
+    stand.run(VELOCITY, ms=2000)
+    assert ARM not in story(stand)
+    given = only(stand).fault
+    assert given == ("watchdog_unverified", "does not answer the read-back of its watchdog", False)
+
+
+def test_a_reboot_with_another_firmware_is_not_taken_for_the_old_one() -> None:
+    stand, device = stand_of()
+    stand.run(COAST, ms=500)
+    device.powered = False
+    stand.run(COAST, ms=500)
+    stand.sent.clear()
+    device.reboot()
+    device.powered, device.deaf = True, lambda frame: frame.remote
+    stand.run(COAST, ms=500)
+    assert set(story(stand)) == {VERSION}
+
+
+def test_arming_is_tried_every_300_ms_for_a_second() -> None:
+    stand, device = stand_of()
+    device.arms = False
+    device.deaf = lambda frame: frame.id == 0x063
+    stand.run(VELOCITY, ms=3000, until=lambda: only(stand).fault is not None)
+    assert times(stand, ARM) == [0, 300, 600, 900]
+    assert times(stand, "063#R") == [0, 100, 200]
+    first = min(at for at, frame in stand.sent if can_text(frame) == ARM)
+    assert stand.now_ns - 4 * MS - first == 1300 * MS, "the fault is told once the controller was asked why"
+
+
+def test_errors_of_a_former_host_are_cleared_ten_times_a_second_for_half_a_second() -> None:
+    stand, device = stand_of()
+    device.errors, device.deaf = WATCHDOG_EXPIRED, lambda frame: frame.id == 0x078
+    stand.run(COAST, ms=500)
+    assert story(stand) == [VERSION, *WRITES, *READS], "nobody asked for more"
+    assert only(stand).fault is None
+    for _ in range(200):
+        stand.cycle([VELOCITY])
+        if times(stand, CLEAR_06) and times(stand, CLEAR_06)[-1] < 400:
+            feed(stand, device.heartbeat())
+            assert only(stand).fault is None
+    assert times(stand, CLEAR_06) == [0, 100, 200, 300, 400]
+    assert fault(stand)[0] == "watchdog"
+
+
+def test_coast_while_errors_are_cleared_arms_nothing() -> None:
+    stand, device = stand_of()
+    device.errors, device.deaf = WATCHDOG_EXPIRED, lambda frame: frame.id == 0x078
+    stand.run(VELOCITY, ms=1000, until=lambda: CLEAR_06 in story(stand))
+    device.deaf = lambda _frame: False
+    stand.run(COAST, ms=1000)
+    assert ARM not in story(stand)
+
+
+def test_the_first_estimate_of_a_loop_that_was_closed_before_is_not_believed() -> None:
+    stand, device = stand_of("0.5")
+    device.powered = False
+    feed(stand, can_frame("061#0000000008000000"))
+    feed(stand, can_frame("069#0000000000000000"))
+    assert only(stand).position is None
+    for ms, position in ((49, None), (1, 0.0)):
+        stand.now_ns += ms * MS
+        feed(stand, can_frame("061#0000000008000000"))
+        feed(stand, can_frame("069#0000000000000000"))
+        assert only(stand).position == position

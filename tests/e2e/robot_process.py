@@ -24,15 +24,23 @@ class RobotProcess:
     """`drivegate run` on loopback. Ends with SIGTERM unless the test ended it."""
 
     def __init__(
-        self, name: str, directory: Path, port: int, *arguments: str, stderr: int | None = None, wait: bool = True
+        self,
+        name: str,
+        directory: Path,
+        port: int,
+        *arguments: str,
+        stderr: int | None = None,
+        wait: bool = True,
+        module: str = "gateway",
+        file: Path | None = None,
     ) -> None:
         self.name = name
         self.directory = directory
         self.endpoint = f"tcp/127.0.0.1:{port}"
         self.log = directory / "service.log"
         # Tests started with nohup ignore SIGHUP, and so would every process of theirs.
-        command = ["env", "--default-signal=HUP", sys.executable, "-m", "gateway"]
-        command += ["run", str(ROBOTS / f"{name}.toml")]
+        command = ["env", "--default-signal=HUP", sys.executable, "-m", module]
+        command += ["run", str(file or ROBOTS / f"{name}.toml")]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 [*command, *(arguments or ("--simulate",)), "--out", str(directory), "--endpoint", self.endpoint],

@@ -7,7 +7,8 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from threading import Event
 
 import can
 import pytest
@@ -16,13 +17,15 @@ from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig, load
 from gateway.core.assembly import build
 from gateway.edges.can_bus import MAX_FRAMES_PER_DRAIN, REOPEN_NS, STUCK_CYCLES, CanBuses, interface_exists
+from gateway.edges.can_thread import AdapterThread
 from gateway.edges.claims import Claims, InUseError
-from gateway.types import BusEventKind
+from gateway.types import BusEvent, BusEventKind
 from tests.world import NAMES, ROBOTS, World
 
 LEFT = 1 << 5
 SETPOINT = CanFrame("can0", LEFT | 0x0D, bytes(8))
 STEP_NS = 10_000_000
+WAIT_S = 30.0
 BUS_OFF, RESTARTED, CONTROLLER = 0x40, 0x100, 0x04
 Kinds = list[BusEventKind]
 
@@ -50,7 +53,7 @@ class ScriptedBus:
         assert filters
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
-        assert timeout == 0
+        assert timeout is not None
         if self.failure is not None and self.room in (None, len(self.sent)):
             raise self.failure
         self.sent.append(message)
@@ -68,12 +71,20 @@ class Bench:
         self.opened: list[ScriptedBus] = []
         self.open_failure: BaseException | None = None
         self.now_ns = 10**12
+        self.threads: list[AdapterThread] = []
         monkeypatch.setattr(can, "Bus", self._open)
+        monkeypatch.setattr("gateway.edges.can_bus.AdapterThread", self._thread)
+        monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
+        monkeypatch.setattr("gateway.edges.can_thread.MAX_AGE_NS", 10**12)  # so that a slow machine changes nothing
         self.edge = CanBuses(config)
 
     @property
     def bus(self) -> ScriptedBus:
         return self.opened[-1]
+
+    def _thread(self, name: str) -> AdapterThread:
+        self.threads.append(AdapterThread(name))
+        return self.threads[-1]
 
     def _open(self, **_: object) -> ScriptedBus:
         if self.open_failure is not None:
@@ -82,11 +93,19 @@ class Bench:
         return self.opened[-1]
 
     def cycle(self, *frames: CanFrame) -> tuple[list[CanFrame], Kinds]:
-        """Receive, then send, as the service does."""
+        """Receive, then send, as the service does; an adapter with a thread has done what it can by then."""
         self.now_ns += STEP_NS
         received, events = self.edge.receive(self.now_ns)
         self.edge.send(frames, self.now_ns)
+        assert all(thread.settle(WAIT_S) for thread in self.threads)
         return received, [event.kind for event in events]
+
+    def events(self) -> list[BusEvent]:
+        """Receive only; what is told."""
+        self.now_ns += STEP_NS
+        events = self.edge.receive(self.now_ns)[1]
+        assert all(thread.settle(WAIT_S) for thread in self.threads)
+        return events
 
     def cycles(self, number: int, *frames: CanFrame) -> Kinds:
         return [kind for _ in range(number) for kind in self.cycle(*frames)[1]]
@@ -94,8 +113,20 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Bench]:
-    bench = Bench(on_interface("slcan", request.node.name), monkeypatch)
+    """On SocketCAN, which answers at once."""
+    bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     bench.cycle()
+    yield bench
+    bench.edge.close()
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """On a serial adapter, which may hold its caller; it is open, and its first frames were written."""
+    bench = Bench(on_interface("slcan", request.node.name), monkeypatch)
+    assert bench.cycles(3, SETPOINT) == [BusEventKind.DOWN, BusEventKind.TX_DROPPED]
+    assert bench.cycle(SETPOINT)[1] == [BusEventKind.UP]
+    bench.bus.sent.clear()
     yield bench
     bench.edge.close()
 
@@ -148,18 +179,21 @@ def test_a_deleted_interface_is_reopened_when_it_is_there_again(bench: Bench, nu
     assert first.closed
     bench.cycles(2 * REOPEN_NS // STEP_NS, SETPOINT)
     bench.open_failure = None
-    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 4, SETPOINT)
     assert len(bench.opened) == 2
 
 
+@pytest.mark.parametrize("interface", ["socketcan", "scripted"])
 def test_an_interface_that_is_missing_at_the_start_is_waited_for(
-    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    interface: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    bench = Bench(on_interface("scripted", request.node.name), monkeypatch)
+    bench = Bench(on_interface(interface, request.node.name), monkeypatch)
     bench.open_failure = OSError(errno.ENODEV, "No such device")
-    assert bench.cycle()[1] == [BusEventKind.DOWN]
+    texts = [event.text for _ in range(3) for event in bench.events()]
+    assert texts[-1] == f"{interface} {request.node.name[:64]} cannot be opened: [Errno 19] No such device"
+    assert texts[:-1] == ([] if interface == "socketcan" else [f"scripted {request.node.name[:64]} is being opened"])
     bench.open_failure = None
-    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 4, SETPOINT)
     bench.edge.close()
 
 
@@ -211,7 +245,6 @@ def test_a_flood_is_taken_in_parts(bench: Bench) -> None:
 def test_stamps_neither_fall_nor_lie_in_the_future(
     monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     bench.cycle()
     bench.bus.inbox.extend(heartbeat(stamp) for stamp in (3e9, 1.0, 2.0))  # a wall clock that was set meanwhile
@@ -237,36 +270,49 @@ WILD = [
     can.CanInterfaceNotImplementedError("no driver library"),
     OSError(errno.EIO, "Input/output error"),
 ]
+paths = pytest.mark.parametrize("path", ["bench", "slow"])
 wild = pytest.mark.parametrize("error", WILD, ids=lambda error: type(error).__name__)
 
 
 @wild
-def test_whatever_receiving_raises_is_a_bus_that_is_down_and_reopened(bench: Bench, error: Exception) -> None:
+@paths
+def test_whatever_receiving_raises_is_a_bus_that_is_down_and_reopened(
+    path: str, error: Exception, request: pytest.FixtureRequest
+) -> None:
+    bench: Bench = request.getfixturevalue(path)
     first = bench.bus
     first.inbox += [heartbeat(), error, heartbeat()]
     frames, kinds = bench.cycle(SETPOINT)
     assert (len(frames), kinds) == (1, [BusEventKind.DOWN])
     assert first.closed
-    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 4, SETPOINT)
     assert len(bench.opened) == 2
 
 
 @wild
-def test_whatever_sending_raises_is_a_bus_that_is_down_and_reopened(bench: Bench, error: Exception) -> None:
+@paths
+def test_whatever_sending_raises_is_a_bus_that_is_down_and_reopened(
+    path: str, error: Exception, request: pytest.FixtureRequest
+) -> None:
+    bench: Bench = request.getfixturevalue(path)
     bench.bus.failure = error
-    assert bench.cycles(2, SETPOINT) == [BusEventKind.TX_DROPPED, BusEventKind.DOWN]
-    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert bench.cycles(3, SETPOINT)[:2] == [BusEventKind.TX_DROPPED, BusEventKind.DOWN]
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 4, SETPOINT)
     assert len(bench.opened) == 2
 
 
 @wild
-def test_whatever_opening_and_closing_raise_is_survived(bench: Bench, error: Exception) -> None:
+@paths
+def test_whatever_opening_and_closing_raise_is_survived(
+    path: str, error: Exception, request: pytest.FixtureRequest
+) -> None:
+    bench: Bench = request.getfixturevalue(path)
     bench.open_failure = bench.bus.closing = error
     bench.bus.inbox.append(error)
     kinds = bench.cycles(3 * REOPEN_NS // STEP_NS, SETPOINT)
     assert kinds.count(BusEventKind.DOWN) == 1
     bench.open_failure = None
-    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 2, SETPOINT)
+    assert BusEventKind.UP in bench.cycles(REOPEN_NS // STEP_NS + 4, SETPOINT)
     bench.bus.closing = error
     bench.edge.close()
     assert bench.bus.closed
@@ -275,7 +321,6 @@ def test_whatever_opening_and_closing_raise_is_survived(bench: Bench, error: Exc
 def test_a_bus_that_fails_half_opened_is_closed(
     monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     monkeypatch.setattr(ScriptedBus, "set_filters", lambda *_: 1 // 0)
     assert bench.cycle()[1] == [BusEventKind.DOWN]
@@ -328,17 +373,16 @@ def test_what_no_classic_bus_carries_is_dropped_and_counted(bench: Bench, wrong:
 
 
 @pytest.mark.parametrize("stamp", [0.0, 12.5, -3.0, 5e9, 1e300, float("nan"), float("inf"), None])
-def test_stamps_of_other_adapters_are_not_trusted(bench: Bench, stamp: float) -> None:
+def test_stamps_of_other_adapters_are_not_trusted(slow: Bench, stamp: float) -> None:
     message = heartbeat()
     message.timestamp = stamp
     for _ in range(3):
-        bench.bus.inbox.append(message)
-        received, _ = bench.cycle()
-        assert [frame.received_ns for frame in received] == [bench.now_ns]
+        slow.bus.inbox.append(message)
+        received, _ = slow.cycle()
+        assert [frame.received_ns for frame in received] == [slow.now_ns]
 
 
 def test_stamps_of_socketcan_are_trusted(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    monkeypatch.setattr("gateway.edges.can_bus.interface_exists", lambda _channel: True)
     bench = Bench(on_interface("socketcan", request.node.name), monkeypatch)
     bench.now_ns = time.monotonic_ns()
     bench.cycle()
@@ -368,11 +412,16 @@ def test_a_slow_loop_keeps_up_with_a_full_bus(monkeypatch: pytest.MonkeyPatch, r
     bench.edge.close()
 
 
-def test_an_unknown_interface_is_an_error_of_the_robot_file(request: pytest.FixtureRequest) -> None:
-    edge = CanBuses(on_interface("nonsense", request.node.name))
+def test_an_unknown_interface_is_an_error_of_the_robot_file(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    bus = can.Bus
+    bench = Bench(on_interface("nonsense", request.node.name), monkeypatch)
+    monkeypatch.setattr(can, "Bus", bus)
+    bench.events()
     with pytest.raises(ConfigError, match=r"bus can0: interface: .*nonsense"):
-        edge.receive(10**12)
-    edge.close()
+        bench.events()
+    bench.edge.close()
 
 
 def test_two_services_for_the_same_motors_refuse_until_the_first_has_ended(request: pytest.FixtureRequest) -> None:
@@ -426,16 +475,115 @@ def test_interfaces_are_found(name: str, expected: bool) -> None:
     assert interface_exists(name) is expected
 
 
-def test_frames_pass_both_ways_on_a_virtual_bus(request: pytest.FixtureRequest) -> None:
-    config = on_interface("virtual", request.node.name)
-    receive: Callable[[int], object] = (edge := CanBuses(config)).receive
-    receive(10**18)
-    with can.Bus(interface="virtual", channel=config.bus[0].channel) as motors:
-        edge.send([SETPOINT], 10**18)
+def test_frames_pass_both_ways_on_a_virtual_bus(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    bus = can.Bus
+    bench = Bench(on_interface("virtual", request.node.name), monkeypatch)
+    monkeypatch.setattr(can, "Bus", bus)
+    channel = request.node.name[:64]
+    bench.cycles(2)
+    with can.Bus(interface="virtual", channel=channel) as motors:
+        bench.cycle(SETPOINT)
         message = motors.recv(1.0)
         assert message is not None
         assert (message.arbitration_id, message.is_extended_id) == (SETPOINT.id, False)
         motors.send(heartbeat())
-        frames, _ = edge.receive(10**18)
+        frames, _ = bench.cycle()
         assert [(frame.bus, frame.id, frame.extended) for frame in frames] == [("can0", LEFT | 1, False)]
-    edge.close()
+    bench.edge.close()
+
+
+# -- adapters that hold their caller ----------------------------------------------------------------------------------
+
+
+class Held:
+    """A call that does not return before it is let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        self._gate = Event()
+        self.entered = Event()
+        call = getattr(ScriptedBus, name)
+
+        def wait(*args: object, **kwargs: object) -> object:
+            self.entered.set()
+            assert self._gate.wait(WAIT_S)
+            return call(*args, **kwargs)
+
+        monkeypatch.setattr(ScriptedBus, name, wait)
+
+    def release(self) -> None:
+        self._gate.set()
+
+
+def run(bench: Bench, cycles: int) -> Kinds:
+    """Cycles of a loop that waits for nobody."""
+    kinds: Kinds = []
+    for _ in range(cycles):
+        bench.now_ns += STEP_NS
+        kinds += [event.kind for event in bench.edge.receive(bench.now_ns)[1]]
+        bench.edge.send([SETPOINT, SETPOINT], bench.now_ns)
+    return kinds
+
+
+def test_a_write_that_never_returns_is_a_bus_that_is_down_and_the_loop_goes_on(
+    slow: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = Held(monkeypatch, "send")
+    kinds = run(slow, 4 * STUCK_CYCLES)
+    assert held.entered.wait(WAIT_S)
+    kinds += run(slow, STUCK_CYCLES)
+    assert kinds.count(BusEventKind.DOWN) == 1
+    assert kinds[-1] is BusEventKind.TX_DROPPED
+    assert len(slow.opened) == 1, "nothing is opened beside a call that did not return"
+    held.release()
+
+
+def test_what_waited_for_a_slow_write_is_not_sent_late(slow: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = Held(monkeypatch, "send")
+    stale = SETPOINT._replace(data=b"\1" * 8)
+    slow.edge.send([SETPOINT], slow.now_ns)
+    assert held.entered.wait(WAIT_S)
+    slow.edge.send([stale, stale], slow.now_ns)
+    monkeypatch.setattr("gateway.edges.can_thread.MAX_AGE_NS", -1)  # by now they are too old
+    held.release()
+    assert slow.threads[0].settle(WAIT_S)
+    assert [bytes(message.data) for message in slow.bus.sent] == [bytes(8)]
+    monkeypatch.setattr("gateway.edges.can_thread.MAX_AGE_NS", 10**12)
+    assert slow.cycles(3, SETPOINT) == [BusEventKind.TX_DROPPED]
+    assert len(slow.bus.sent) == 3
+
+
+def test_opening_that_never_returns_is_a_bus_that_is_down_and_is_not_begun_again(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    held = Held(monkeypatch, "__init__")
+    bench = Bench(on_interface("slcan", request.node.name), monkeypatch)
+    kinds = run(bench, 3 * REOPEN_NS // STEP_NS)
+    assert kinds[0] is BusEventKind.DOWN
+    assert set(kinds[1:]) == {BusEventKind.TX_DROPPED}
+    assert held.entered.wait(WAIT_S)
+    assert not bench.opened
+    held.release()
+    assert bench.threads[0].settle(WAIT_S)
+    assert BusEventKind.UP in bench.cycles(3, SETPOINT)
+    assert len(bench.opened) == 1
+    bench.edge.close()
+    assert bench.bus.closed
+
+
+@pytest.mark.parametrize("name", ["send", "shutdown"])
+def test_the_end_does_not_wait_for_an_adapter_for_long(name: str, slow: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.edges.can_thread.END_S", 0.01)
+    held = Held(monkeypatch, name)
+    slow.edge.send([SETPOINT], slow.now_ns)
+    slow.edge.close()
+    assert held.entered.wait(WAIT_S)
+    held.release()
+
+
+def test_the_last_frames_are_written_before_the_end(slow: Bench) -> None:
+    slow.edge.send([SETPOINT] * 20, slow.now_ns)
+    slow.edge.close()
+    assert len(slow.bus.sent) == 20
+    assert slow.bus.closed

@@ -1,14 +1,21 @@
 """What the doctor makes of probe results; every problem and note comes with a cure."""
 
 import json
+import socket
+from pathlib import Path
+from typing import Any, Self
 
 import pytest
 from typer.testing import CliRunner
 
+from gateway.cli import doctor as command
 from gateway.cli.app import build
 from gateway.edges import host_checks as doctor
 from gateway.edges.can_link import CanLink, parse_link
 from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
+from gateway.edges.messages import StateMessage
+from gateway.types import Status
+from tests.gateway.test_messages import STATUS
 from tests.world import ROBOTS
 
 # `ip -details -statistics -json link show`, iproute2 6.1: a CAN adapter (shortened), a vcan, nothing.
@@ -158,6 +165,84 @@ def test_service(unit: Unit | None, text: str, grade: Grade) -> None:
     assert text in finding.text
     assert finding.grade is grade
     assert (finding.cure is None) == (grade is Grade.OK)
+
+
+MEASURED, SILENT = (STATUS.motors[0]._replace(name="platform", measured=speed) for speed in (0.0, None))
+RUNNING = STATUS._replace(faults=(), motors=(MEASURED,))
+UNREFERENCED = "platform: joint angle unknown (its encoder is not absolute): drivegate reference moby"
+
+
+@pytest.mark.parametrize(
+    ("absolute", "status", "grade", "text"),
+    [
+        (True, None, Grade.OK, "declared absolute"),
+        (False, None, Grade.NOTE, "incremental: after every start"),
+        (True, RUNNING, Grade.OK, "its angle is known"),
+        (False, RUNNING, Grade.OK, "its angle is known"),
+        (False, RUNNING._replace(motors=(SILENT,)), Grade.NOTE, "incremental: after every start"),
+        (True, RUNNING._replace(motors=(SILENT,)), Grade.OK, "declared absolute"),
+        (False, RUNNING._replace(faults=("left: silent", UNREFERENCED)), Grade.PROBLEM, "its encoder is not absolute"),
+        (True, RUNNING._replace(faults=("platform: joint angle unknown (x)",)), Grade.PROBLEM, "angle unknown (x)"),
+        (True, RUNNING._replace(faults=("other_platform: joint angle unknown (x)",)), Grade.OK, "is known"),
+    ],
+)
+def test_a_steered_joint(absolute: bool, status: Status | None, grade: Grade, text: str) -> None:
+    finding = doctor.joint("platform", robot="moby", absolute=absolute, status=status)
+    assert finding.subject == "joint platform"
+    assert finding.grade is grade
+    assert text in finding.text
+    assert (finding.cure is None) == (grade is Grade.OK)
+    assert grade is Grade.OK or "drivegate reference moby --motor platform" in str(finding.cure)
+
+
+def _report(path: Path) -> dict[str, Any]:
+    done = CliRunner().invoke(build("doctor"), ["doctor", str(path), "--json"])
+    return {finding["subject"]: finding for finding in json.loads(done.stdout)["findings"]}
+
+
+def test_the_command_tells_of_the_joints_in_the_robot_file(tmp_path: Path) -> None:
+    text = (ROBOTS / "moby.toml").read_text(encoding="utf-8")
+    path = tmp_path / "moby.toml"
+    path.write_text(text, encoding="utf-8")
+    assert _report(path)["joint platform"]["grade"] == "ok"
+    assert 'encoder = "absolute"' in text
+    path.write_text(text.replace('encoder = "absolute"', ""), encoding="utf-8")
+    joint = _report(path)["joint platform"]
+    assert joint["grade"] == "note"
+    assert "drivegate reference moby" in joint["cure"]
+    assert not any(subject.startswith("joint") for subject in _report(ROBOTS / "omni4.toml"))
+
+
+def test_the_command_asks_the_running_robot_about_its_joints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever listens on the robot's port is asked; here a client that answers as an unreferenced robot does."""
+
+    class Answering:
+        def __init__(self, robot: str, *, connect: list[str]) -> None:
+            assert (robot, len(connect)) == ("moby", 1)
+
+        def __enter__(self) -> Self:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def wait_alive(self, _timeout: float) -> bool:
+            return True
+
+        def status(self, _timeout: float) -> StateMessage:
+            return StateMessage(0.0, RUNNING._replace(faults=(UNREFERENCED,)), {})
+
+    monkeypatch.setattr(command, "Client", Answering)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        text = (ROBOTS / "moby.toml").read_text(encoding="utf-8").replace(":7447", f":{port}")
+        path = tmp_path / "moby.toml"
+        path.write_text(text, encoding="utf-8")
+        assert _report(path)["joint platform"] == {
+            "subject": "joint platform",
+            "grade": "problem",
+            "text": "joint angle unknown (its encoder is not absolute)",
+            "cure": "bring it to a known angle, then drivegate reference moby --motor platform --angle RAD",
+        }
 
 
 def test_the_command_reports_a_missing_interface(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -6,6 +6,7 @@ from math import hypot, pi
 import pytest
 
 from drivers.contract import MotorState
+from gateway.control.drive_law import Measured
 from gateway.core.health import Fault, FaultKind
 from gateway.types import ZERO_TWIST, Mode, Reply, Request, RequestKind, Status, Twist, TwistFrame
 from tests.world import NAMES, World
@@ -421,7 +422,7 @@ def test_a_robot_that_rolls_in_an_emergency_stop_is_braked_again_and_held(name: 
     world.request(RequestKind.ESTOP)
     world.run(1.0)
     assert set(world.last.trace.wheel_setpoints) == {None}
-    world.bus.robot.dynamics.slope = 0.15
+    world.bus.robot.set_slope(0.15)
     world.run(3.0)
     assert set(world.last.trace.wheel_setpoints) == {0.0}
     assert world.true_speed() < 0.02
@@ -465,9 +466,12 @@ def test_a_motor_released_while_driving_is_not_driven_again_on_the_way_to_rest(
     motors = world.engine._motors
     measure = motors.measure
 
-    def measure_eager(now_ns: int) -> None:
-        measure(now_ns)
-        motors.feedback[place] = motors.feedback[place]._replace(state=MotorState.OPERATIONAL)
+    def measure_eager(now_ns: int, dt: float) -> Measured:
+        measured = measure(now_ns, dt)
+        feedback = list(motors.feedback)
+        feedback[place] = feedback[place]._replace(state=MotorState.OPERATIONAL)
+        motors.feedback = tuple(feedback)
+        return measured
 
     monkeypatch.setattr(motors, "measure", measure_eager)
     world.engine._health.latch(Fault(FaultKind.STALL, "front_left", "stands still", latched=True))

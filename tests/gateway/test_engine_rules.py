@@ -8,6 +8,7 @@ import pytest
 
 from drivers.contract import CanFrame, CommandKind, DriverFault, MotorCommand, MotorFeedback, MotorState
 from gateway.config import RobotConfig, parse
+from gateway.control.drive_law import Motion
 from gateway.control.transmission import Transmission
 from gateway.core.assembly import Group, Robot, build
 from gateway.core.engine import Engine
@@ -147,6 +148,9 @@ class Stand:
         assert (reply.id, reply.ok) == (5, reply.reason is None)
         return reply.reason
 
+    def limit(self, target: Twist, *, dt: float = 0.004) -> Motion:
+        return self.engine._limit(target, self.engine._measured._replace(dt=dt), self.engine._health._well)
+
     @property
     def setpoints(self) -> tuple[float | None, ...]:
         return self.out.trace.wheel_setpoints
@@ -220,7 +224,7 @@ def test_arming_takes_three_seconds_at_most_and_says_who_did_not_arm() -> None:
     assert stand.cycle(ZERO_TWIST, ms=3000.0).mode is STARTING
     assert stand.cycle(ZERO_TWIST, ms=0.000001).mode is FAULT
     stand.motors.states = [OPERATIONAL] * 4
-    faults = stand.cycle().mode, stand.engine._judge(stand.now_ns, 0.0).faults
+    faults = stand.cycle().mode, stand.engine._judge(stand.engine._measured).faults
     assert faults == (
         FAULT,
         (
@@ -289,7 +293,7 @@ def test_references_and_their_refusals() -> None:
     stand = Stand("moby", incremental)
     unknown = "platform: joint angle unknown (its encoder is not absolute): "
     assert stand.cycle(ZERO_TWIST).mode is IDLE
-    assert stand.engine._other_faults() == [
+    assert stand.engine._other_faults(stand.engine._measured) == [
         Fault(FaultKind.POSITION_UNKNOWN, "platform", f"{unknown[10:]}drivegate reference moby", latched=False)
     ]
     assert stand.reply(RequestKind.RESET) == f"{unknown}reference it first"
@@ -298,9 +302,9 @@ def test_references_and_their_refusals() -> None:
     assert stand.reference() == "the robot still moves"
     stand.motors.measured.clear()
     stand.motors.states[2] = SILENT
-    assert stand.engine._other_faults() != []
+    assert stand.engine._other_faults(stand.engine._measured) != []
     stand.cycle()
-    assert stand.engine._other_faults() == []
+    assert stand.engine._other_faults(stand.engine._measured) == []
     assert stand.reference() == "platform does not report its position"
     stand.motors.states[2] = OPERATIONAL
     stand.cycle()
@@ -323,9 +327,9 @@ def test_a_bus_that_is_down_is_a_fault_until_it_is_up(name: str) -> None:
     stand.drive()
     assert stand.cycle(FORWARD, bus=BusEventKind.DOWN).mode is FAULT
     assert stand.cycle(FORWARD, bus=BusEventKind.ERROR_ACTIVE).mode is FAULT
-    assert stand.engine._other_faults() == [Fault(FaultKind.BUS, "can0", "off", latched=False)]
+    assert stand.engine._other_faults(stand.engine._measured) == [Fault(FaultKind.BUS, "can0", "off", latched=False)]
     stand.cycle(FORWARD, bus=BusEventKind.UP)
-    assert stand.engine._other_faults() == []
+    assert stand.engine._other_faults(stand.engine._measured) == []
     assert stand.run(3.0, FORWARD).mode is IDLE
     stand.cycle(bus=BusEventKind.UP)
     assert stand.is_in(IDLE)
@@ -378,28 +382,26 @@ def test_a_motor_at_its_torque_limit_holds_the_setpoint_back() -> None:
     stand.motors.measured[0] = 0.999 * (stand.setpoints[0] or 0.0)
     stand.cycle(Twist(1.0, 0.0, 0.0))
     assert stand.out.trace.setpoint == before
-    limits = stand.engine._limit(Twist(1.0, 0.0, 0.0), None, stand.engine._health._well, 0.004)[1]
-    assert limits == ("acceleration", "torque")
+    assert stand.limit(Twist(1.0, 0.0, 0.0)).limits == ("acceleration", "torque")
 
 
 def test_wheels_too_fast_scale_the_setpoint() -> None:
     stand = Stand("omni4")
     stand.drive(ZERO_TWIST, seconds=0.1)
     stand.engine._limiter.reset(Twist(4.0, 3.0, 8.0))
-    speeds, limits = stand.engine._limit(Twist(2.0, 1.5, 4.0), None, stand.engine._health._well, 0.0)
+    motion = stand.limit(Twist(2.0, 1.5, 4.0), dt=0.0)
+    speeds = [command.value for command in motion.commands]
     assert max(map(abs, speeds)) == pytest.approx(45.0)
-    assert "motor_speed" in limits
+    assert motion.share == pytest.approx(45.0 / 86.143066)
+    assert "motor_speed" in motion.limits
     assert stand.engine._kinematics.wheel_speeds(stand.engine._limiter.setpoint, ()) == pytest.approx(speeds)
-    size, ramp = stand.engine._ramp
-    assert size == pytest.approx(2.0 * 45.0 / 86.143066)
-    assert ramp == speeds
 
 
 def test_slip_is_named() -> None:
     stand = Stand("omni4")
     stand.drive(ZERO_TWIST, seconds=0.1)
-    stand.engine._slip.slipping = True
-    assert stand.engine._limit(ZERO_TWIST, None, stand.engine._health._well, 0.0)[1] == ("slip",)
+    stand.engine._measured = stand.engine._measured._replace(slipping=True)
+    assert stand.limit(ZERO_TWIST, dt=0.0).limits == ("slip",)
 
 
 @pytest.mark.parametrize(
@@ -423,30 +425,6 @@ def test_a_braking_setpoint_falls_back_to_what_is_measured(
     assert engine._limiter.setpoint == pytest.approx([factor * axis for axis in setpoint])
 
 
-@pytest.mark.parametrize(("setpoint", "size", "factor"), [(0.5, 0.5, 0.5), (1.5, 0.5, 1.0), (0.5, 0.0, 0.0)])
-def test_without_the_joint_angle_the_wheels_keep_their_proportion(setpoint: float, size: float, factor: float) -> None:
-    engine = Stand("omni4").engine
-    engine._ramp = (size, [1.0, -2.0, 3.0, 0.0])
-    engine._limiter.reset(Twist(setpoint, 0.0, 0.0))
-    assert engine._in_proportion() == [factor, -2.0 * factor, 3.0 * factor, 0.0]
-
-
-def test_a_steered_joint_is_commanded_for_where_it_will_be() -> None:
-    stand = Stand("moby")
-    stand.motors.age_ns = MS
-    stand.motors.measured[2] = 2.0
-    stand.cycle()
-    angle = stand.motors.positions[2]
-    assert stand.engine._angles_ahead()[2] == pytest.approx(angle + 2.0 * 0.005)
-    stand.engine._motors.speeds[2] = None
-    assert stand.engine._angles_ahead()[2] == angle
-    stand.engine._motors.speeds[2] = 2.0
-    stand.engine._motors.feedback[2] = stand.engine._motors.feedback[2]._replace(age_ns=None)
-    assert stand.engine._angles_ahead()[2] == angle
-    stand.engine._angles[2] = None
-    assert stand.engine._angles_ahead()[2] is None
-
-
 def test_an_angle_lost_while_driving_is_not_used_before_the_next_rest() -> None:
     stand = Stand("moby")
     stand.drive(Twist(0.4, 0.3, 0.2), seconds=0.5)
@@ -463,7 +441,6 @@ def test_an_angle_lost_while_driving_is_not_used_before_the_next_rest() -> None:
     assert shares[-1][0] < 0.9
     assert stand.run(3.0).mode is IDLE
     stand.drive(Twist(0.4, 0.3, 0.2), seconds=0.1)
-    assert not stand.engine._blind
 
 
 @both
@@ -487,7 +464,8 @@ def test_the_speed_of_a_wheel_by_the_others() -> None:
     stand.motors.measured[0] = 0.0
     stand.cycle(FORWARD)
     assert stand.engine._expected_speed(0) == pytest.approx(expected)
-    stand.engine._motors.speeds[1] = None
+    front_left, _, *others = stand.engine._measured.speeds
+    stand.engine._measured = stand.engine._measured._replace(speeds=(front_left, None, *others))
     assert stand.engine._expected_speed(0) is None
     assert Stand("moby").engine._expected_speed(0) is None
 

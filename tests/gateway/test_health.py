@@ -93,7 +93,6 @@ SAMPLES = {
     FaultKind.STALL: STALL,
     FaultKind.FOLLOWING: [sample(10.0, 3.0, 3.0 * DT * cycle, 5.0) for cycle in range(32)],
     FaultKind.FROZEN: [sample(10.0, 0.0, 0.0, 3.0)] * 11,
-    FaultKind.TWIN: [sample(0.0, 0.0, float(cycle % 2), 0.0, driving=False) for cycle in range(7)],
     FaultKind.RUNAWAY: [sample(0.0, cycle**2 / 4, cycle**3 * DT / 12, -5.0, driving=False) for cycle in range(7)],
 }
 
@@ -111,7 +110,6 @@ def look(health: HealthMonitor, samples: Iterable[Sample], *, feedback: MotorFee
         (FaultKind.STALL, (True, True), (True, True)),
         (FaultKind.FOLLOWING, (True, True), (True, True)),
         (FaultKind.FROZEN, (False, True), (False, True)),
-        (FaultKind.TWIN, (False, True), (False, True)),
         (FaultKind.RUNAWAY, (False, False), (False, False)),
     ],
 )
@@ -126,6 +124,26 @@ def test_what_each_detector_takes_from_a_motor(
     assert look(health, [RESTING])[:3] == found[:3], "latched"
 
 
+def test_a_twin_that_a_driver_tells_cannot_brake_its_motor() -> None:
+    health = monitor()
+    assess(health, WELL, WELL)
+    told = DriverFault("id_twin", "two controllers answer as id 1", latched=True)
+    found = assess(health, MotorFeedback(MotorState.FAULT, 0.0, 0.0, fault=told), WELL)
+    assert [(fault.kind, fault.subject, fault.latched) for fault in found.faults] == [(FaultKind.TWIN, "left", True)]
+    assert found[:3] == ((False, True), (False, True), (False, True))
+
+
+def test_a_wheel_that_moves_against_its_torque_is_named_where_the_others_tell() -> None:
+    wrong = [sample(10.0, 10.0 - 20.0 * DT * cycle, 0.1 * cycle, 9.0) for cycle in range(8)]
+    right = RESTING._replace(setpoint=10.0, speed=10.0, position=None, torque=1.0, driving=True, dt=DT)
+    for redundant, kinds in ((True, [FaultKind.REVERSED]), (False, [])):
+        health = HealthMonitor(["left", "right"], limits=[Limits(20.0, 10.0)] * 2)
+        for x in wrong:
+            found = health.assess([WELL, WELL], [x, right], energised=True, redundant=redundant, now_ns=0)
+        assert [fault.kind for fault in found.faults] == kinds
+    assert found.brakable == (True, True)
+
+
 @pytest.mark.parametrize("pause", ["reset", "forgive", "look_anew", "out of operation", "out of reach"])
 def test_after_a_pause_a_motor_is_judged_anew(pause: str) -> None:
     health = monitor()
@@ -133,8 +151,7 @@ def test_after_a_pause_a_motor_is_judged_anew(pause: str) -> None:
     if pause == "out of operation":
         assess(health, MotorFeedback(MotorState.IDLE), WELL, energised=False)
     elif pause == "out of reach":
-        health.assess([WELL, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=0)
-        assess(health, WELL, WELL, now_ns=1)
+        health.assess([WELL, WELL], [RESTING] * 2, out_of_reach={0}, energised=True, now_ns=-1)
     else:
         getattr(health, pause)()
     assert look(health, STALL[:15]).faults == ()

@@ -1,13 +1,15 @@
 """The moving setpoint, by laws and by figures: within every limit, straight on, arriving exactly, without overshoot."""
 
 import itertools
-from math import isclose, sqrt
+from math import atanh, isclose, sqrt
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.control.limits import (
+    _TURNING_DELAY,
+    TURNING_SHARE,
     TwistLimiter,
     excess,
     scale_to,
@@ -326,3 +328,9 @@ def test_brakes_a_rate_of_all_axes(signs: tuple[int, int, int]) -> None:
     moving.step(Twist(0.1, -0.1 * signs[1], -0.2 * signs[2]), 0.1)
     for vx, vy, wz in ((0.36850507, 0.54488356, 0.45039508), (0.33701014, 0.49831413, 0.41190128)):
         assert moving.brake(0.1) == pytest.approx((vx, vy * signs[1], wz * signs[2]))
+
+
+def test_the_delay_of_turning_is_that_of_its_share() -> None:
+    """Written out in the code, because atanh is not the same on every CPU."""
+    assert pytest.approx(atanh(sqrt(0.7)) / sqrt(0.7), rel=1e-15) == _TURNING_DELAY
+    assert TURNING_SHARE == 0.7

@@ -8,6 +8,8 @@ import pytest
 
 from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, DriverFault, MotorCommand, MotorFeedback, MotorState
 from gateway.config import parse
+from gateway.control import drive_law
+from gateway.control.drive_law import JointCommand, Measured
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.assembly import Group, build
@@ -63,6 +65,12 @@ def robot() -> tuple[Motors, list[Notes]]:
     return Motors(built), drivers
 
 
+def measured(
+    speeds: Sequence[float | None] = (None,) * 3, torques: Sequence[float | None] = (None,) * 3, *, dt: float = 0.1
+) -> Measured:
+    return Measured(0, dt, tuple(speeds), (None,) * 3, tuple(torques), (None,) * 3)
+
+
 def test_a_frame_goes_to_the_first_driver_of_its_bus_that_takes_it() -> None:
     motors, drivers = robot()
     motors.receive([CanFrame(bus, id, b"") for bus, id in (("can0", 1), ("can0", 2), ("can1", 1), ("can9", 1))])
@@ -71,18 +79,19 @@ def test_a_frame_goes_to_the_first_driver_of_its_bus_that_takes_it() -> None:
 
 def test_measurements_are_those_of_the_output_and_unknown_while_silent() -> None:
     motors, drivers = robot()
-    everything = (motors.speeds, motors.positions, motors.torques, motors.setpoints, motors.feedback)
-    assert everything == (*([[None] * 3] * 4), [SILENT] * 3)
+    assert (motors.setpoints, motors.feedback) == ((None,) * 3, (SILENT,) * 3)
+    assert motors.measure(7, 0.5) == (7, 0.5, *([(None,) * 3] * 4), (), None, False)
     drivers[0].motors = [MEASURED]
     drivers[1].motors = [MEASURED._replace(velocity=1.0)]
-    motors.measure(0)
-    assert motors.feedback == [MEASURED, SILENT, MEASURED._replace(velocity=1.0)]
-    assert motors.speeds == [-2.0, None, 1.0]
-    assert motors.positions == [-1.0, None, 3.0]
-    assert motors.torques == [-2.0, None, 0.5]
+    found = motors.measure(0, 0.1)
+    assert motors.feedback == (MEASURED, SILENT, MEASURED._replace(velocity=1.0))
+    assert found.speeds == (-2.0, None, 1.0)
+    assert found.positions == (-1.0, None, 3.0)
+    assert found.torques == (-2.0, None, 0.5)
+    assert found.ages_ns == (4_000_000, None, 4_000_000)
     drivers[0].motors = [MEASURED._replace(state=MotorState.SILENT)]
-    motors.measure(0)
-    assert (motors.speeds[0], motors.positions[0], motors.torques[0]) == (None, None, None)
+    found = motors.measure(0, 0.1)
+    assert (found.speeds[0], found.positions[0], found.torques[0]) == (None, None, None)
 
 
 @pytest.mark.parametrize(
@@ -97,17 +106,16 @@ def test_measurements_are_those_of_the_output_and_unknown_while_silent() -> None
 )
 def test_what_turns(speeds: list[float | None], turning: bool | None) -> None:
     motors, _ = robot()
-    motors.speeds = speeds
-    assert motors.turning() is turning
+    assert motors.turning(measured(speeds)) is turning
 
 
 @pytest.mark.parametrize(("age_ns", "fresh"), [(4_000_000, True), (4_000_001, False), (None, False), (0, True)])
 def test_a_sample_is_fresh_for_a_cycle(age_ns: int | None, fresh: bool) -> None:
     motors, drivers = robot()
     drivers[0].motors = [MEASURED._replace(age_ns=age_ns)]
-    motors.measure(0)
-    motors.setpoints = [5.0, None, None]
-    sample = motors.samples(driving=True, dt=0.004, expected=lambda index: 10.0 + index)[0]
+    motors.setpoints = (5.0, None, None)
+    found = motors.measure(0, 0.004)
+    sample = motors.samples(found, driving=True, expected=lambda index: 10.0 + index)[0]
     assert sample[:-1] == (5.0, -2.0, -1.0, -2.0, fresh, True, 0.004)
     assert sample.expected() == 10.0
 
@@ -132,17 +140,18 @@ def test_a_sample_is_fresh_for_a_cycle(age_ns: int | None, fresh: bool) -> None:
 )
 def test_headroom(setpoint: float | None, speed: float | None, torque: float | None, headroom: float) -> None:
     motors, _ = robot()
-    assert motors.headroom() == 1.0
-    motors.setpoints, motors.speeds, motors.torques = [1.0, setpoint, 1.0], [1.0, speed, 1.0], [0.0, torque, 0.0]
-    assert motors.headroom() == pytest.approx(headroom)
-    motors.setpoints[0], motors.setpoints[2] = None, 2.3  # one released, another lags by 0.065
-    assert motors.headroom() == pytest.approx(min(headroom, 0.5))
+    found = measured((1.0, speed, 1.0), (0.0, torque, 0.0))
+    assert motors.headroom(found) == 1.0
+    motors.setpoints = (1.0, setpoint, 1.0)
+    assert motors.headroom(found) == pytest.approx(headroom)
+    motors.setpoints = (None, setpoint, 2.3)  # one released, another lags by 0.065
+    assert motors.headroom(found) == pytest.approx(min(headroom, 0.5))
 
 
 def test_who_does_not_obey_and_who_is_on_which_bus() -> None:
     motors, drivers = robot()
     drivers[0].motors = [MEASURED]
-    motors.measure(0)
+    motors.measure(0, 0.1)
     assert motors.not_operational((True, True, True)) == [1, 2]
     assert motors.not_operational((False, False, True)) == [2]
     assert motors.on_buses(["can0"]) == {0, 2}
@@ -161,28 +170,46 @@ def test_what_is_for_all_drivers_reaches_all() -> None:
 def test_each_motor_gets_the_command_that_its_controller_knows() -> None:
     motors, drivers = robot()
 
-    def command(*setpoints: float | None, braking: bool = False) -> list[MotorCommand]:
-        frames = motors.command(list(setpoints), braking=braking, dt=0.1, now_ns=0)
+    def told(*commands: JointCommand) -> list[MotorCommand]:
+        frames = motors.command(commands, measured((None, 1.0, None)))
         assert [frame.data for frame in frames] == [b"command"] * 3
-        assert motors.setpoints == list(setpoints)
         return [drivers[place].commands[0] for place in (0, 2, 1)]
 
-    motors.speeds = [None, 1.0, None]
-    velocity, torque = CommandKind.VELOCITY, CommandKind.TORQUE
-    assert command(2.0, 2.0, None) == [MotorCommand(velocity, -8.0), MotorCommand(torque, 1.0), COAST]
-    assert command(0.0, 2.0, 0.0, braking=True) == [BRAKE, MotorCommand(torque, 1.5), BRAKE]
-    assert command(None, None, None) == [COAST] * 3
-    assert command(None, 2.0, 1.0) == [COAST, MotorCommand(torque, 1.0), MotorCommand(velocity, 1.0)]
+    velocity, torque, voltage = CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.VOLTAGE
+    coast, brake = drive_law.COAST, drive_law.BRAKE
+    two, nought = JointCommand(velocity, 2.0), JointCommand(velocity, 0.0)
+    assert told(two, two, coast) == [MotorCommand(velocity, -8.0), MotorCommand(torque, 1.0), COAST]
+    assert list(motors.setpoints) == [2.0, 2.0, None]
+    assert told(brake, two, brake) == [BRAKE, MotorCommand(torque, 1.5), BRAKE]
+    assert list(motors.setpoints) == [0.0, 2.0, 0.0]
+    assert told(coast, coast, coast) == [COAST] * 3
+    assert list(motors.setpoints) == [None] * 3
+    assert told(coast, two, nought) == [COAST, MotorCommand(torque, 1.0), MotorCommand(velocity, 0.0)]
+    assert told(nought, brake, nought)[1] == MotorCommand(torque, -0.5), "to rest, from half of it in the integrator"
+    push, limited = JointCommand(torque, 6.0), JointCommand(torque, -6.0, limit=2.0)
+    assert told(push, push, limited) == [
+        MotorCommand(torque, -1.5),
+        MotorCommand(torque, 3.0),
+        MotorCommand(torque, -2.0),
+    ]
+    assert list(motors.setpoints) == [None] * 3
+    assert told(coast, two, coast)[1] == MotorCommand(torque, 1.0), "a torque command empties the integrator"
+    volts = JointCommand(voltage, 5.0)
+    assert told(volts, coast, volts) == [MotorCommand(voltage, -5.0), COAST, MotorCommand(voltage, 5.0)]
+    helped = JointCommand(velocity, 1.0, feed_forward=4.0)
+    assert told(coast, coast, coast)[1] == COAST
+    assert told(coast, helped, coast)[1] == MotorCommand(torque, 2.0)
+    assert told(coast, helped._replace(limit=3.0), coast)[1] == MotorCommand(torque, 1.5)
 
 
 def test_status() -> None:
     motors, drivers = robot()
     fault = DriverFault("hot", "too hot", latched=True)
     drivers[0].motors = [MEASURED._replace(state=MotorState.FAULT, fault=fault, voltage=24.0, temperature_c=90.0)]
-    motors.measure(0)
-    motors.setpoints = [None, 7.0, None]
-    assert motors.status()[:2] == (
+    motors.setpoints = (None, 7.0, None)
+    found = motors.measure(0, 0.1)
+    assert motors.status(found)[:2] == (
         ("a", "fault", None, -2.0, -2.0, 24.0, 90.0, "too hot", 0.004),
         ("b", "silent", 7.0, None, None, None, None, None, None),
     )
-    assert len(motors.status()) == 3
+    assert len(motors.status(found)) == 3

@@ -1,7 +1,7 @@
 """Odometry: exact arcs, no drift at rest, honest covariance, jumps told apart from motion."""
 
 from collections.abc import Sequence
-from math import cos, pi, sin
+from math import cos, pi, sin, sqrt
 
 import numpy as np
 import pytest
@@ -17,10 +17,17 @@ POSES = [WheelPose(0.3 * cos(a), 0.3 * sin(a), a, RADIUS) for a in (pi / 4, 3 * 
 STEP_NS = 4_000_000
 
 
-def take(odometry: WheelOdometry, positions: Sequence[float | None], step: int, *, residual: float = 0.0) -> list[int]:
+def take(
+    odometry: WheelOdometry,
+    positions: Sequence[float | None],
+    step: int,
+    *,
+    residual: float = 0.0,
+    heading: float | None = None,
+) -> list[int]:
     """One cycle; the joints that jumped."""
     deltas, jumped = odometry.deltas(positions, step * STEP_NS)
-    odometry.update(deltas, positions, residual=residual, dt=0.004)
+    odometry.update(deltas, positions, residual=residual, dt=0.004, heading=heading)
     return jumped
 
 
@@ -76,9 +83,12 @@ def test_covariance_grows_with_the_way_and_not_at_rest() -> None:
     st.lists(
         st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(0.0, 0.5), st.integers(0, 100)),
         max_size=12,
-    )
+    ),
+    st.sampled_from([None, 0.0, 0.7]),
 )
-def test_the_covariance_is_positive_definite_always(drives: list[tuple[float, float, float, float, int]]) -> None:
+def test_the_covariance_is_positive_definite_always(
+    drives: list[tuple[float, float, float, float, int]], gyro: float | None
+) -> None:
     """From the first cycle on: whoever fuses the odometry inverts it."""
     odometry, positions, now_ns = omni(), [0.0] * 4, 0
     for vx, vy, wz, residual, steps in drives:
@@ -86,7 +96,8 @@ def test_the_covariance_is_positive_definite_always(drives: list[tuple[float, fl
         for _ in range(steps):
             now_ns += STEP_NS
             positions = [position + rate * 0.004 for position, rate in zip(positions, rates, strict=True)]
-            take(odometry, positions, now_ns // STEP_NS, residual=residual)
+            heading = None if gyro is None else gyro * now_ns * 1e-9
+            take(odometry, positions, now_ns // STEP_NS, residual=residual, heading=heading)
         covariance = np.array(odometry.read(None, None).covariance).reshape(3, 3)
         assert (covariance == covariance.T).all()
         assert np.linalg.eigvalsh(covariance)[0] > 0.0
@@ -140,3 +151,78 @@ def test_unknown_positions_are_not_zero() -> None:
     drive(odometry, Twist(1, 0, 0), 10)
     take(odometry, [None] * 4, 11)
     assert odometry.pose.x == pytest.approx(0.04)
+
+
+# the heading of a gyro
+
+
+def drive_with_gyro(
+    odometry: WheelOdometry, twist: Twist, headings: Sequence[float | None], *, residual: float = 0.0
+) -> None:
+    """The wheels tell this twist from cycle to cycle; the gyro tells these headings."""
+    rates = OmniKinematics(POSES).wheel_speeds(twist)
+    for step, heading in enumerate(headings):
+        slip = residual if step else 0.0
+        take(odometry, [rate * step * 0.004 for rate in rates], step, residual=slip, heading=heading)
+
+
+def test_the_turn_is_the_gyros_and_the_way_is_the_wheels() -> None:
+    """The wheels say straight on, 1 m; the gyro says a quarter of a circle: an arc of radius 2/pi m."""
+    odometry = omni()
+    drive_with_gyro(odometry, Twist(1, 0, 0), [5.0 + pi / 2 * step / 250 for step in range(251)])
+    assert odometry.pose == pytest.approx((2 / pi, 2 / pi, pi / 2), abs=1e-9)
+
+
+def test_a_gyro_that_agrees_changes_nothing() -> None:
+    plain, with_gyro = omni(), omni()
+    drive(plain, Twist(0.3, -0.2, 2.0), 250)
+    drive_with_gyro(with_gyro, Twist(0.3, -0.2, 2.0), [2.0 * step * 0.004 for step in range(251)])
+    assert with_gyro.pose == pytest.approx(plain.pose, abs=1e-9)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_heading_that_wraps_is_no_turn_back(direction: float) -> None:
+    """From 170 degrees on by 20 degrees is -170 degrees, in one cycle."""
+    odometry = omni()
+    drive_with_gyro(odometry, Twist(0, 0, 0), [direction * 170 * pi / 180, -direction * 170 * pi / 180])
+    assert odometry.pose == pytest.approx((0.0, 0.0, direction * 20 * pi / 180), abs=1e-12)
+
+
+def test_a_gyro_that_was_silent_may_have_begun_anew() -> None:
+    """Meanwhile the wheels tell the turn, 4 mrad per cycle; the gyro's first heading afterwards is a reference."""
+    odometry = omni()
+    drive_with_gyro(odometry, Twist(0, 0, 1), [1.0, 1.1, None, None, -2.0, -1.9])
+    assert odometry.pose.theta == pytest.approx(0.1 + 3 * 0.004 + 0.1)
+
+
+def test_a_gyro_turns_the_pose_where_the_wheels_tell_nothing() -> None:
+    for positions in ([0.0] * 4, [None] * 4):
+        odometry = omni()
+        take(odometry, positions, 0, heading=0.0)
+        take(odometry, positions, 1, heading=0.2)
+        assert odometry.pose == (0.0, 0.0, 0.2)
+
+
+def heading_deviation(odometry: WheelOdometry) -> float:
+    """Standard deviation beyond the one that every pose begins with, rad."""
+    return sqrt(odometry.read(None, None).covariance[8] - 1e-6)
+
+
+def test_the_heading_of_a_gyro_wanders_with_time_and_errs_with_the_turn() -> None:
+    """0.001 rad after a second whatever the wheels do, 0.0077 after a minute, 1 % of the first radian turned."""
+    for seconds, twist, expected in ((1, Twist(1, 0, 0), 1e-3), (60, Twist(0, 0, 0), 60**0.5 * 1e-3)):
+        odometry = omni()
+        drive_with_gyro(odometry, twist, [0.0] * (250 * seconds + 1), residual=0.1)
+        assert heading_deviation(odometry) == pytest.approx(expected, rel=1e-6)
+    odometry = omni()
+    drive_with_gyro(odometry, Twist(0, 0, 1), [step * 0.004 for step in range(251)])
+    assert heading_deviation(odometry) == pytest.approx((1e-4 + 1e-6) ** 0.5, rel=1e-6)
+
+
+def test_a_gyro_leaves_the_place_as_doubtful_as_the_wheels_are() -> None:
+    """1 m driven at 0.1 m/s of slip: 0.02 m of the way and 0.1 m of the slip, with a gyro or without."""
+    for headings in ([None] * 251, [0.0] * 251):
+        odometry = omni()
+        drive_with_gyro(odometry, Twist(1, 0, 0), headings, residual=0.1)
+        assert odometry.read(None, None).covariance[0] == pytest.approx(4e-4 + 0.01, rel=0.01)
+    assert heading_deviation(odometry) < 0.0011

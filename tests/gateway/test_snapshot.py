@@ -158,10 +158,12 @@ def test_state_of_a_type_nobody_thought_of_is_a_loud_error() -> None:
 def test_what_two_share_is_shared_again() -> None:
     world = World("moby")
     world.start()
-    engine = world.engine
-    engine._ramp = (0.0, engine._motors.setpoints)  # type: ignore[assignment]
-    restored = Engine(world.config, stored(engine.snapshot()))
-    assert restored._ramp[1] is restored._motors.setpoints
+    odometry = world.engine._odometry
+    odometry._jumped = odometry._moved_ns
+    restored = Engine(world.config, stored(world.engine.snapshot()))._odometry
+    assert restored._jumped is restored._moved_ns
+    assert restored._moved_ns == odometry._moved_ns
+    assert restored._positions is not odometry._positions
 
 
 @pytest.mark.parametrize("owner", OWNERS)

@@ -128,9 +128,19 @@ def _as_text(report: Report) -> str:
         if not outcome.killed or outcome.timeout:
             mutant = outcome.mutant
             what = "killed by the time limit" if outcome.timeout else "survived"
-            lines += [f"{mutant.module}:{mutant.number}: {what}", f"  {mutant.line}", f"  {mutant.mutation}", ""]
+            lines += [
+                f"{mutant.module}:{mutant.number}: {mutant.where}: {what}",
+                f"  {mutant.line}",
+                f"  {mutant.mutation}",
+                "",
+            ]
     for row in report.stale:
-        lines += [f"survivors.toml: no such mutant: {row.module}", f"  {row.line}", f"  {row.mutation}", ""]
+        lines += [
+            f"survivors.toml: no such mutant: {row.module}: {row.where}",
+            f"  {row.line}",
+            f"  {row.mutation}",
+            "",
+        ]
     lines.append(f"{'module':28}{'mutants':>9}{'judged':>9}{'killed':>9}{'by time':>9}{'survived':>10}{'score':>9}")
     for name, score in {**report.scores, "all": report.total}.items():
         lines.append(
@@ -152,7 +162,8 @@ def _as_json(report: Report) -> dict[str, object]:
 
 
 def _row(mutant: Mutant) -> dict[str, object]:
-    return {"module": mutant.module, "number": mutant.number, "line": mutant.line, "mutation": mutant.mutation}
+    place = {"module": mutant.module, "where": mutant.where, "number": mutant.number}
+    return {**place, "line": mutant.line, "mutation": mutant.mutation}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -13,9 +13,10 @@ Node = TypeVar("Node", bound=ast.AST)
 
 
 class Mutant(NamedTuple):
-    """One change. `line` (text) and `mutation` (words) name it in the table of survivors."""
+    """One change. `where`, `line` (text) and `mutation` (words) name it in the table of survivors."""
 
     module: str  # path from the root of the checkout
+    where: str  # qualified name of the class or function, "" on module level
     number: int  # of the line that changes
     line: str
     mutation: str
@@ -59,8 +60,9 @@ CONSTANTS_OF_MATH = {"pi", "tau"}
 
 
 class Change(NamedTuple):
-    """A node, what replaces it, the change in words, the line it happens on, and the lines of its statement."""
+    """A node, what replaces it, the change in words, where and on which line, and the lines of its statement."""
 
+    where: str
     node: ast.expr | ast.stmt
     replacement: ast.AST
     words: str
@@ -76,7 +78,7 @@ def mutants(module: str, source: str) -> list[Mutant]:
     by_source = {text.replaced(change): change for change in reversed(finder.found)}
     by_source.pop(source, None)
     found = [
-        Mutant(module, change.number, text.line(change.number), change.words, change.statement, mutated)
+        Mutant(module, change.where, change.number, text.line(change.number), change.words, change.statement, mutated)
         for mutated, change in by_source.items()
     ]
     return sorted(found, key=lambda mutant: (mutant.number, mutant.mutation))
@@ -108,6 +110,7 @@ class _Finder(ast.NodeVisitor):
     def __init__(self) -> None:
         self.found: list[Change] = []
         self._functions: list[ast.FunctionDef] = []
+        self._names: list[str] = []  # of the classes and functions around
         self._statement = range(0)
 
     def visit(self, node: ast.AST) -> None:
@@ -117,14 +120,17 @@ class _Finder(ast.NodeVisitor):
 
     def _change(self, node: ast.expr | ast.stmt, replacement: ast.AST) -> None:
         words = f"{ast.unparse(node)} -> {ast.unparse(replacement)}"
-        self.found.append(Change(node, replacement, words, node.lineno, self._statement))
+        self._note(node, replacement, words, node.lineno)
 
     def _without(self, statement: ast.stmt) -> None:
         words = f"without {ast.unparse(statement)}"
-        self.found.append(Change(statement, ast.Pass(), words, statement.lineno, self._statement))
+        self._note(statement, ast.Pass(), words, statement.lineno)
 
     def _drop(self, element: ast.expr, words: str, node: ast.expr, rest: ast.expr) -> None:
-        self.found.append(Change(node, rest, f"without {words}", element.lineno, self._statement))
+        self._note(node, rest, f"without {words}", element.lineno)
+
+    def _note(self, node: ast.expr | ast.stmt, replacement: ast.AST, words: str, number: int) -> None:
+        self.found.append(Change(".".join(self._names), node, replacement, words, number, self._statement))
 
     # definitions: only what runs
 
@@ -135,13 +141,17 @@ class _Finder(ast.NodeVisitor):
             if default is not None:
                 self.visit(default)
         self._functions.append(node)
-        for statement in node.body:
-            self.visit(statement)
+        self._inside(node)
         self._functions.pop()
 
     def visit_ClassDef(self, node: ast.ClassDef) -> None:
+        self._inside(node)
+
+    def _inside(self, node: ast.ClassDef | ast.FunctionDef) -> None:
+        self._names.append(node.name)
         for statement in node.body:
             self.visit(statement)
+        self._names.pop()
 
     def visit_Lambda(self, node: ast.Lambda) -> None:
         self.visit(node.body)

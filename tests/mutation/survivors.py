@@ -14,6 +14,7 @@ class Survivor(NamedTuple):
     """One row of survivors.toml."""
 
     module: str
+    where: str
     line: str
     mutation: str
     judgement: str
@@ -28,11 +29,11 @@ class Sorted(NamedTuple):
 
 
 def load(path: Path = TABLE) -> list[Survivor]:
-    """The table. Raises ValueError for a row without its four texts."""
+    """The table. Raises ValueError for a row without its five texts."""
     rows = tomllib.loads(path.read_text(encoding="utf-8")).get("survivor", [])
     for row in rows:
         if set(row) != set(Survivor._fields) or not all(
-            isinstance(text, str) and text.strip() for text in row.values()
+            isinstance(text, str) and (text.strip() or name == "where") for name, text in row.items()
         ):
             raise ValueError(f"{path}: {row}: a survivor has the texts {', '.join(Survivor._fields)}")
     return [Survivor(**row) for row in rows]
@@ -41,7 +42,7 @@ def load(path: Path = TABLE) -> list[Survivor]:
 def sort(mutants: Sequence[Mutant], table: Sequence[Survivor]) -> Sorted:
     """All mutants of some modules, by the rows about those modules."""
     modules = {mutant.module for mutant in mutants}
-    rows = {(row.module, row.line, row.mutation): row for row in table if row.module in modules}
+    rows = {row[:4]: row for row in table if row.module in modules}
     judged = [mutant for mutant in mutants if _key(mutant) in rows]
     found = {_key(mutant) for mutant in judged}
     return Sorted(
@@ -51,5 +52,5 @@ def sort(mutants: Sequence[Mutant], table: Sequence[Survivor]) -> Sorted:
     )
 
 
-def _key(mutant: Mutant) -> tuple[str, str, str]:
-    return mutant.module, mutant.line, mutant.mutation
+def _key(mutant: Mutant) -> tuple[str, str, str, str]:
+    return mutant.module, mutant.where, mutant.line, mutant.mutation

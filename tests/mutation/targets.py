@@ -38,4 +38,5 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "drivers/odrive/group.py": _ODRIVE,
     "drivers/odrive/axis.py": _ODRIVE,
     "drivers/odrive/bringup.py": _ODRIVE,
+    "drivers/twins.py": ("tests/drivers/test_twins.py",),
 }

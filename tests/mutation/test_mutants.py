@@ -103,7 +103,7 @@ def test_every_mutant_of_a_target_is_another_program(module: str) -> None:
 
 def test_judged_mutants_do_not_count_and_unknown_rows_are_told() -> None:
     found = mutants("m.py", "def f(a):\n    return a + 1\n")
-    judged = Survivor("m.py", "return a + 1", "a + 1 -> a - 1", judgement="a is infinite")
+    judged = Survivor("m.py", "f", "return a + 1", "a + 1 -> a - 1", judgement="a is infinite")
     stale = judged._replace(line="return a + 2")
     elsewhere = judged._replace(module="other.py")
 
@@ -112,6 +112,14 @@ def test_judged_mutants_do_not_count_and_unknown_rows_are_told() -> None:
     assert [mutant.mutation for mutant in result.judged] == ["a + 1 -> a - 1"]
     assert len(result.open) == len(found) - 1
     assert result.stale == [stale]
+
+
+def test_the_same_change_elsewhere_is_another() -> None:
+    found = mutants("m.py", "class A:\n    def f(self):\n        a = 1 + b\n\ndef f():\n    a = 1 + b\n")
+    changes = [(mutant.where, mutant.line, mutant.mutation) for mutant in found]
+    assert ("A.f", "a = 1 + b", "1 + b -> 1 - b") in changes
+    assert ("f", "a = 1 + b", "1 + b -> 1 - b") in changes
+    assert len(set(changes)) == len(changes)
 
 
 def test_table_of_survivors_is_well_formed() -> None:

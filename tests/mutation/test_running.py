@@ -66,7 +66,7 @@ def lines(report: Report, *, killed: bool) -> set[str]:
 
 
 def test_planted_mutants_are_killed_and_planted_survivors_found(runner: Runner, checkout: Path) -> None:
-    judged = Survivor(MODULE, "return speed < 1", "speed < 1 -> speed <= 1", judgement="planted")
+    judged = Survivor(MODULE, "careful", "return speed < 1", "speed < 1 -> speed <= 1", judgement="planted")
     found = [mutant for mutant in mutants(MODULE, RULE) if "steps" not in mutant.line]
     report = run(runner, {MODULE: found}, [judged])
 

@@ -174,6 +174,13 @@ def test_what_was_sent_to_a_frozen_process_is_old_only_if_it_says_so(stamped: bo
     assert (first.inputs.now_ns - command.received_ns) / 1e9 == pytest.approx(0.42 if stamped else 0.0, abs=0.001)
 
 
+def test_another_sender_takes_a_source_over_and_has_to_send_zero_first() -> None:
+    at = [*DRIVE, {"t": 2.0, "command": AHEAD | {"sender": "stranger"}}]
+    seen = moments(scenario(at=at, seconds=2.4))
+    assert {command.sender for moment in seen for command in moment.inputs.commands} == {"scenario", "stranger"}
+    assert seen[-1].outputs.mode is Mode.STOPPING
+
+
 def test_requests_reach_the_core_with_what_they_say() -> None:
     asked = [{"t": 0.5, "request": "reference", "angle": 0.7}, {"t": 0.6, "request": "reference"}]
     seen = moments(scenario("moby", at=[*asked, {"t": 0.7, "request": "reset"}], seconds=1.0))

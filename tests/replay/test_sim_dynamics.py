@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from gateway.config import OffsetDifferentialRobot, OmniRobot, RobotConfig, load
 from gateway.types import Twist
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants.rigid_body import CHASSIS_MODELS, Dynamics, Vector
+from replay.sim.plants import PLANTS, omni
+from replay.sim.plants.rigid_body import RigidBody, Vector
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 NAMES = ("omni4", "moby")
@@ -26,24 +27,31 @@ def config(name: str) -> RobotConfig:
     return load(ROBOTS / f"{name}.toml")[0]
 
 
-def dynamics(name: str, *, friction: float = 0.0) -> Dynamics:
+def dynamics(name: str, *, friction: float = 0.0) -> RigidBody:
+    return plant(name, joint_friction=friction)
+
+
+def plant(name: str, **body: float) -> RigidBody:
+    """The bundled robot without friction, with other figures of its body if asked."""
     robot = config(name).robot
-    body = robot.body.model_copy(update={"joint_friction": friction, "joint_drag": 0.0})
-    return Dynamics(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": body})))
+    frictionless = {"joint_friction": 0.0, "joint_drag": 0.0}
+    made = PLANTS[robot.kind](robot.model_copy(update={"body": robot.body.model_copy(update=frictionless | body)}))
+    assert isinstance(made, RigidBody)
+    return made
 
 
-def rows(model: Dynamics) -> Matrix:
+def rows(model: RigidBody) -> Matrix:
     return np.array(model._chassis.rows)
 
 
-def hold(model: Dynamics, friction: float) -> tuple[float, ...]:
+def hold(model: RigidBody, friction: float) -> tuple[float, ...]:
     """Torques under which the present velocity does not change: they cancel gyroscopic forces and friction."""
     matrix, u = rows(model), np.array(model.velocity)
     wanted = matrix.T @ matrix @ u * friction - np.array(model._chassis.gyroscopic(model.velocity))
     return tuple(float(torque) for torque in np.linalg.pinv(matrix.T) @ wanted)
 
 
-def run(model: Dynamics, seconds: float, torques: tuple[float, ...] | None = None) -> None:
+def run(model: RigidBody, seconds: float, torques: tuple[float, ...] | None = None) -> None:
     for _ in range(round(seconds / STEP_S)):
         model.step((0.0,) * len(model.angles) if torques is None else torques)
 
@@ -149,9 +157,7 @@ def test_offset_differential_agrees_with_world_coordinates(u: Vector, heading: f
 
 
 def test_omni_without_torque_keeps_its_course_when_the_wheels_weigh_nothing() -> None:
-    robot = config("omni4").robot
-    body = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0, "joint_inertia": 0.0})
-    model = Dynamics(CHASSIS_MODELS["omni"](robot.model_copy(update={"body": body})))
+    model = plant("omni4", joint_inertia=0.0)
     model.set_velocity((1.0, 0.5, 2.0))
     run(model, 3.0)
     assert model.pose == pytest.approx((3.0, 1.5, 6.0), abs=1e-4)
@@ -165,11 +171,11 @@ def test_omni_rows_of_one_wheel_by_hand() -> None:
     robot = config("omni4").robot
     assert isinstance(robot, OmniRobot)
     wheel = robot.wheel[0].model_copy(update={"x": 0.3, "y": 0.0, "axis_angle": pi / 2.0, "radius": 0.1})
-    chassis = CHASSIS_MODELS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
+    chassis = omni.chassis(robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}), robot.body)
     assert chassis.rows[0] == pytest.approx((-10.0, 0.0, 0.0), abs=1e-12)
     # The same axle at y = 0.2: turning counter-clockwise moves the wheel along -x with 0.2 m/s per rad/s.
     wheel = wheel.model_copy(update={"x": 0.0, "y": 0.2})
-    chassis = CHASSIS_MODELS["omni"](robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}))
+    chassis = omni.chassis(robot.model_copy(update={"wheel": [wheel, *robot.wheel[1:]]}), robot.body)
     assert chassis.rows[0] == pytest.approx((-10.0, 0.0, 2.0), abs=1e-12)
 
 

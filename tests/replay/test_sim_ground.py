@@ -9,21 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants.rigid_body import CHASSIS_MODELS, GRAVITY, Dynamics, Vector
-from tests.replay.test_sim_dynamics import NAMES, config, dynamics
+from replay.sim.plants.rigid_body import GRAVITY, RigidBody, Vector
+from tests.replay.test_sim_dynamics import NAMES, config, dynamics, plant
 
 WHEELS = {"omni4": (0, 1, 2, 3), "moby": (0, 1)}
 SPEED = st.floats(-2.0, 2.0)
 
 
-def on_ice(name: str, friction: float, *, joint_friction: float = 0.0) -> Dynamics:
+def on_ice(name: str, friction: float, *, joint_friction: float = 0.0) -> RigidBody:
     model = dynamics(name, friction=joint_friction)
     for joint in WHEELS[name]:
         model.set_friction(joint, friction)
     return model
 
 
-def run(model: Dynamics, seconds: float, torques: tuple[float, ...] = ()) -> list[float]:
+def run(model: RigidBody, seconds: float, torques: tuple[float, ...] = ()) -> list[float]:
     """Energy before and after every substep."""
     energies = [model.energy]
     for _ in range(round(seconds / STEP_S)):
@@ -32,7 +32,7 @@ def run(model: Dynamics, seconds: float, torques: tuple[float, ...] = ()) -> lis
     return energies
 
 
-def slip(model: Dynamics, joint: int) -> float:
+def slip(model: RigidBody, joint: int) -> float:
     """How much faster the rim turns than the ground passes, m/s."""
     row = np.array(model._chassis.rows[joint])
     radius = model._chassis.wheel_radii[joint]
@@ -45,9 +45,7 @@ def slip(model: Dynamics, joint: int) -> float:
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, pi, -2.0])
 def test_a_push_acts_along_world_x_whatever_the_heading(heading: float) -> None:
-    robot = config("omni4").robot
-    weightless = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0, "joint_inertia": 0.0})
-    model = Dynamics(CHASSIS_MODELS["omni"](robot.model_copy(update={"body": weightless})))
+    model = plant("omni4", joint_inertia=0.0)
     model.pose = model.pose._replace(theta=heading)
     model.push = 50.0
     run(model, 0.05)
@@ -100,18 +98,13 @@ def test_a_slope_takes_as_much_going_up_as_it_gives_back(name: str) -> None:
 # -- mass -------------------------------------------------------------------------------------------------------------
 
 
-def loaded(name: str, mass: float) -> tuple[Dynamics, Dynamics]:
+def loaded(name: str, mass: float) -> tuple[RigidBody, RigidBody]:
     """A robot in motion, and the same one after its mass became this."""
-    robot = config(name).robot
-    body = robot.body.model_copy(update={"joint_friction": 0.0, "joint_drag": 0.0})
-    models = []
-    for _ in range(2):
-        model = Dynamics(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": body})))
+    before, after = plant(name), plant(name)
+    for model in (before, after):
         model.set_velocity((1.0, 0.0, 0.0))
-        models.append(model)
-    heavier = body.model_copy(update={"mass": mass})
-    models[1].load(CHASSIS_MODELS[robot.kind](robot.model_copy(update={"body": heavier})))
-    return models[0], models[1]
+    after.set_mass(mass)
+    return before, after
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,4 +1,4 @@
-"""How the simulated robot moves: one rigid model for every chassis, and per kind what fills it.
+"""The simple plant: one rigid model for every chassis, filled by `Chassis`, which each kind makes in a file of its own.
 
 How this works
 --------------
@@ -21,12 +21,12 @@ Geometry is derived here from the robot file, independently of `gateway.kinemati
 from collections.abc import Callable, Container, Sequence
 from math import cos, isinf, sin, tanh
 from operator import mul
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import Body, OffsetDifferentialRobot, OmniRobot
+from gateway.config import Body
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
 
@@ -53,65 +53,6 @@ class Chassis(NamedTuple):
     chassis_angle: Callable[[float, Sequence[float]], float]  # rad in the world, from heading and joint angles
 
 
-def omni(robot: OmniRobot) -> Chassis:
-    """u is the body twist; a wheel drives along its axle direction turned by 90 degrees."""
-    mass, inertia = robot.body.mass, robot.body.inertia
-    rows = []
-    for wheel in robot.wheel:
-        drive_x, drive_y = -sin(wheel.axis_angle), cos(wheel.axis_angle)
-        rows.append(
-            (drive_x / wheel.radius, drive_y / wheel.radius, (drive_y * wheel.x - drive_x * wheel.y) / wheel.radius)
-        )
-    return Chassis(
-        body=robot.body,
-        rows=tuple(rows),
-        wheel_radii=tuple(wheel.radius for wheel in robot.wheel),
-        load_shares=(1.0 / len(robot.wheel),) * len(robot.wheel),
-        mass=((mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, inertia)),
-        across=1.0,
-        gyroscopic=lambda u: (mass * u[2] * u[1], -mass * u[2] * u[0], 0.0),
-        body_twist=lambda u, _: Twist(*u),
-        chassis_angle=lambda heading, _: heading,
-    )
-
-
-def offset_differential(robot: OffsetDifferentialRobot) -> Chassis:
-    """u = (speed of the joint along the chassis, chassis rate, platform rate); the whole mass sits at the joint.
-
-    Its weight is carried by the axle behind it and the caster before it, the nearer the more; swivelling changes that
-    little and is left out.
-    The joint moves with (u0, d1 u1) in chassis axes, so it accelerates with (u0' - d1 u1^2, d1 u1' + u0 u1).
-    """
-    mass, offset, radius = robot.body.mass, robot.axle_offset, robot.wheel_radius
-    lever = robot.track / 2.0
-    coupling = mass * offset
-    carried = 1.0 if robot.caster is None else robot.caster.position / (robot.caster.position + offset)
-
-    def body_twist(u: Vector, angles: Sequence[float]) -> Twist:
-        along, across = u[0], offset * u[1]
-        c, s = cos(angles[2]), sin(angles[2])
-        return Twist(along * c + across * s, across * c - along * s, u[2])
-
-    return Chassis(
-        body=robot.body,
-        rows=((1.0 / radius, -lever / radius, 0.0), (1.0 / radius, lever / radius, 0.0), (0.0, -1.0, 1.0)),
-        wheel_radii=(radius, radius, None),
-        load_shares=(carried / 2.0, carried / 2.0, 0.0),
-        mass=(
-            (mass, 0.0, 0.0),
-            (0.0, robot.chassis_inertia + coupling * offset, 0.0),
-            (0.0, 0.0, robot.body.inertia),
-        ),
-        across=offset,
-        gyroscopic=lambda u: (coupling * u[1] * u[1], -coupling * u[1] * u[0], 0.0),
-        body_twist=body_twist,
-        chassis_angle=lambda heading, angles: heading - angles[2],
-    )
-
-
-CHASSIS_MODELS: dict[str, Callable[[Any], Chassis]] = {"omni": omni, "offset_differential": offset_differential}
-
-
 class _Matrices(NamedTuple):
     """The equation of motion of the body with the joints that are held to it; a free wheel's inertia is its own."""
 
@@ -132,13 +73,16 @@ class _Contact(NamedTuple):
     lever: float  # m: radius times share of the weight
 
 
-class Dynamics:
-    """Moving state of one robot: quasi-velocities, joint angles and rates, pose. The writer is `step`."""
+class RigidBody:
+    """A plant: quasi-velocities, joint angles and rates, pose. The writer is `step`. `model`: the chassis of a body."""
 
-    def __init__(self, chassis: Chassis) -> None:
+    def __init__(self, body: Body, model: Callable[[Body], Chassis]) -> None:
+        chassis = model(body)
+        self._body = body
+        self._model = model
         self.external: Vector = (0.0, 0.0, 0.0)  # generalised force on u, e.g. a push in an experiment
-        self.push = 0.0  # N at the centre of mass, along world x
-        self.slope = 0.0  # rad, rising along world x
+        self.push = 0.0
+        self.slope = 0.0
         self.pose = _ORIGIN
         self.angles = tuple(0.0 for _ in chassis.rows)
         self._force = self.external
@@ -146,7 +90,7 @@ class Dynamics:
         self._spins: dict[int, float] = {}  # rad/s of these
         self._traction: dict[int, float] = {}  # N m that the ground gave these in the last substep
         self._build(chassis)
-        self.reflected_inertia = tuple(self._reflected(row) for row in chassis.rows)  # per joint, others free
+        self.reflected_inertia = tuple(self._reflected(row) for row in chassis.rows)
         self.set_velocity((0.0, 0.0, 0.0))
 
     @property
@@ -171,6 +115,11 @@ class Dynamics:
         return float(u @ self._mass @ u + spinning) / 2.0
 
     @property
+    def wheels(self) -> tuple[int, ...]:
+        """Joints that drive a wheel."""
+        return tuple(joint for joint, radius in enumerate(self._chassis.wheel_radii) if radius is not None)
+
+    @property
     def slipping(self) -> tuple[int, ...]:
         """Joints whose wheels slip."""
         return tuple(sorted(joint for joint in self._spins if abs(self._slip(joint, self._velocity)) > _NO_SLIP))
@@ -179,6 +128,10 @@ class Dynamics:
         """Start an experiment in motion; wheels on slippery ground keep their speed."""
         self._velocity = velocity
         self.rates = self._joint_rates(velocity)
+
+    def place(self, angles: Sequence[float]) -> None:
+        """Where the joints stand before the first step."""
+        self.angles = tuple(angles)
 
     def can_slip(self, joint: int) -> bool:
         """Whether the joint drives a wheel that has an inertia of its own."""
@@ -199,10 +152,10 @@ class Dynamics:
             self._spins[joint] = self.rates[joint]
             self._choose()
 
-    def load(self, chassis: Chassis) -> None:
+    def set_mass(self, mass: float | None) -> None:
         """Another mass from now on: a load put on was at rest before, a load taken off keeps its own momentum."""
         before = self._mass
-        self._build(chassis)
+        self._build(self._model(self._body if mass is None else self._body.model_copy(update={"mass": mass})))
         if np.trace(self._mass) > np.trace(before):
             self.set_velocity(_vector(self._inverse @ before @ np.array(self._velocity)))
 

@@ -1,0 +1,77 @@
+"""Two controllers that answer as one id, seen frame by frame.
+
+How this works
+--------------
+Each frame either goes on from the one before it, as far as one rotor can have turned meanwhile, or it does not. A rotor
+that really jumps (a power cycle, a slipped magnet, an impact) does so once and goes on from there. Two rotors that take
+turns make the readings jump to and fro: a frame that does not go on from the last one goes on from the one before the
+last jump. Such returns are counted, and everything else wears the count off.
+
+Stamps may be wrong by a few periods (frames that waited for their adapter), frames may be lost, repeated or overtaken,
+so a turning rotor may be anywhere within the way of that time, ahead or behind. At rest it is anywhere but elsewhere.
+Two rotors that stand within NEAR of each other look like one; they part as soon as one of them turns.
+"""
+
+from drivers.contract import DriverFault, MotorSpec
+
+CODE = "id_twin"
+
+NEAR = 0.2  # rad at the motor shaft; a step of the coarsest encoder in use (42 Hall states per turn) is 0.15
+SLACK_PERIODS = 2.0  # of the feedback, by which stamps may be wrong; at least a cycle of the loop, which stamps some
+CLEAR = 0.25  # of a turn; where a rotor may have gone further, an angle within a turn says nothing of its way
+SPEED_NOISE = 0.3  # of max_speed; an impact, or play in the gear, changes the rotor's speed in no time
+ACCELERATION = 20.0  # max_speed per second; a rotor without a load takes some 15
+RETURNS = 4.0
+FADE = 0.2  # of a return, by each frame that is none; a single rotor never comes near one return in six frames
+
+_Reading = tuple[float, float, int]  # rad, rad/s, ns
+
+
+class TwinWatch:
+    """Looks at the readings of one id. `turn`: rad after which the position starts anew; None: it never does."""
+
+    __slots__ = ("_before_jump", "_last", "_max_speed", "_returns", "_slack", "_turn")
+
+    def __init__(self, spec: MotorSpec, *, turn: float | None = None) -> None:
+        self._max_speed = spec.max_speed
+        self._slack = max(SLACK_PERIODS / spec.feedback_rate, 1.0 / spec.command_rate)
+        self._turn = turn
+        self.forget()
+
+    def forget(self) -> None:
+        """What was seen so far says nothing about now."""
+        self._last: _Reading | None = None
+        self._before_jump: _Reading | None = None
+        self._returns = 0.0
+
+    def take(self, position: float, velocity: float, received_ns: int) -> bool:
+        """Take a reading, rad and rad/s at the motor shaft; whether two rotors are sure by now."""
+        reading = (position, velocity, received_ns)
+        last, before_jump = self._last, self._before_jump
+        self._last = reading
+        if last is None or self._goes_on(last, reading):
+            returned = False
+        else:
+            self._before_jump = last
+            returned = before_jump is not None and self._goes_on(before_jump, reading)
+        if returned:
+            self._returns += 1.0
+        elif self._returns:
+            self._returns = max(0.0, self._returns - FADE)
+        return self._returns >= RETURNS
+
+    def _goes_on(self, before: _Reading, now: _Reading) -> bool:
+        """Whether one rotor can have moved from one reading to the other."""
+        time = self._slack + max(0, now[2] - before[2]) * 1e-9
+        reach = NEAR + max(abs(before[1]), abs(now[1])) * time
+        way, turn = now[0] - before[0], self._turn
+        if turn is not None:
+            way = 0.0 if reach > CLEAR * turn else way - turn * round(way / turn)
+        if abs(way) > reach:
+            return False
+        return abs(now[1] - before[1]) <= self._max_speed * (SPEED_NOISE + ACCELERATION * time)
+
+
+def twin_fault(spec: MotorSpec, bus: str) -> DriverFault:
+    """What is told of a motor whose id two controllers have."""
+    return DriverFault(CODE, f"two controllers answer as id {spec.id} on {bus}", latched=True)

@@ -1,0 +1,114 @@
+"""From the setpoint of the body to what every joint is told: what a drive law says, and the law of speeds.
+
+How this works
+--------------
+The core decides whether and how fast the body may move; the law of the chassis decides how its joints do that. It gets
+the setpoint within the body's limits and everything measured, and answers with one command per joint, at the output,
+and with what of the setpoint is really driven. Which joints may be commanded at all is not its business.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from drivers.contract import CommandKind
+from gateway.control.limits import excess
+from gateway.kinematics.contract import Estimate, Kinematics, desaturate
+from gateway.types import Twist
+
+
+class Measured(NamedTuple):
+    """Everything measured in one cycle, at the outputs and in the order of the robot file; None is unknown."""
+
+    now_ns: int
+    dt: float  # s since the cycle before
+    speeds: tuple[float | None, ...]  # rad/s
+    positions: tuple[float | None, ...]  # rad from the joint's zero
+    torques: tuple[float | None, ...]  # N m
+    ages_ns: tuple[int | None, ...]  # of speed and position
+    angles: tuple[float | None, ...] = ()  # positions that are trusted, for the geometry
+    estimate: Estimate | None = None  # motion of the body, and what of the wheels it does not explain
+    slipping: bool = False
+
+
+class JointCommand(NamedTuple):
+    """Setpoint of one joint at its output: rad/s, N m or V by kind; 0.0 for coast and brake.
+
+    `feed_forward`: N m that a speed loop adds; `limit`: N m that it may use at most (None: what the joint can).
+    """
+
+    kind: CommandKind
+    value: float = 0.0
+    feed_forward: float = 0.0
+    limit: float | None = None
+
+
+COAST = JointCommand(CommandKind.COAST)
+BRAKE = JointCommand(CommandKind.BRAKE)
+
+
+class Motion(NamedTuple):
+    """What the joints are told. `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name."""
+
+    commands: tuple[JointCommand, ...]
+    share: float = 1.0
+    limits: tuple[str, ...] = ()
+
+
+class DriveLaw(Protocol):
+    """How one kind of chassis moves as the setpoint says. State owner; called once per cycle."""
+
+    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+        """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
+        ...
+
+
+class SpeedLaw:
+    """Every joint at the speed that the kinematics has for it, all slowed alike where one cannot go so fast.
+
+    While an angle that the kinematics needs is unknown the joints keep the proportion they last had, and slow down as
+    the setpoint does; once that has begun on the way to rest it stays so, because an angle that comes back is a step.
+    """
+
+    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float], velocity: Twist, period: float) -> None:
+        self._kinematics = kinematics
+        self._top_speeds = tuple(top_speeds)
+        self._velocity = velocity  # limits of the body
+        self._period = period  # s
+        self._blind = False
+        self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
+
+    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+        """Commands for this setpoint."""
+        self._blind = self._blind and braking
+        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self._angles_ahead(measured))
+        if speeds is None:
+            self._blind = braking
+            return Motion(_velocities(self._in_proportion(setpoint)))
+        share = desaturate(speeds, self._top_speeds)
+        limits: tuple[str, ...] = ()
+        if share < 1.0:
+            setpoint = Twist(*[axis * share for axis in setpoint])
+            speeds, limits = [speed * share for speed in speeds], ("motor_speed",)
+        self._ramp = excess(setpoint, self._velocity), speeds
+        return Motion(_velocities(speeds), share, limits)
+
+    def _angles_ahead(self, measured: Measured) -> Sequence[float | None]:
+        """Angles of the steered joints as they will be when the motors turn as commanded: a period from now."""
+        if not self._kinematics.steered:
+            return measured.angles
+        angles = list(measured.angles)
+        for index in self._kinematics.steered:
+            angle, speed, age_ns = angles[index], measured.speeds[index], measured.ages_ns[index]
+            if angle is not None and speed is not None and age_ns is not None:
+                angles[index] = angle + speed * (age_ns * 1e-9 + self._period)
+        return angles
+
+    def _in_proportion(self, setpoint: Twist) -> list[float]:
+        """The last speeds known, all in the proportion in which the setpoint fell."""
+        size, speeds = self._ramp
+        factor = excess(setpoint, self._velocity) / size if size > 0.0 else 0.0
+        return [speed * min(factor, 1.0) for speed in speeds]
+
+
+def _velocities(speeds: Sequence[float]) -> tuple[JointCommand, ...]:
+    return tuple([JointCommand(CommandKind.VELOCITY, speed) for speed in speeds])

@@ -1,0 +1,150 @@
+"""A session recorded here gives the same bytes on every processor: one drive of each bundled robot, replayed.
+
+Lane `variants`: on this machine with its vector instructions hidden from the C library and from BLAS, `replay verify`
+and the digest of all outputs. Lane `aarch64`: the core under an emulated arm64, the digest alone.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from gateway.robot_files import bundled
+from tests.equality import emulator
+from tests.equality.drive import record
+from tests.equality.judge import Judgement
+
+LANES = ("variants", "aarch64")
+WITHOUT = "AVX,AVX2,AVX512F,AVX512VL,FMA,FMA4"
+
+# What each pretends to be. The order of sets of strings differs too: each has another PYTHONHASHSEED.
+VARIANTS: Mapping[str, Mapping[str, str]] = {
+    "as it is": {},
+    "C library without FMA and AVX": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=" + ",".join(f"-{name}" for name in WITHOUT.split(","))
+    },
+    "BLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "BLAS for Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
+}
+
+
+class Run(NamedTuple):
+    """What one environment made of the drives; `failure`: what it did not even get to say."""
+
+    name: str
+    judgements: tuple[Judgement, ...] = ()
+    failure: str | None = None
+
+
+def main() -> int:
+    """0 if all that was asked for ran and agreed; what cannot run has failed."""
+    arguments = _parser().parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    begin = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="drivegate-equality-") as directory:
+        folder = Path(directory)
+        sessions = {name: record(name, folder) for name in bundled()}
+        runs = [_judged("as it is", [sys.executable], folder, _environment(0, {}))]
+        expected = runs[0].judgements
+        if arguments.lane in {None, "variants"}:
+            runs[0] = _verified(runs[0], sessions, _environment(0, {}))
+            runs += [_variant(place, name, folder, sessions) for place, name in enumerate(VARIANTS) if place > 0]
+        if arguments.lane in {None, "aarch64"}:
+            runs.append(_emulated(folder))
+    failed = [problem for one in runs for problem in _problems(one, expected)]
+    for one in runs:
+        sys.stdout.write(_line(one, expected) + "\n")
+    sys.stdout.write(f"{time.monotonic() - begin:.0f} s\n")
+    return 1 if failed else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tests.equality", description=__doc__, allow_abbrev=False)
+    parser.add_argument("lane", nargs="?", choices=LANES, help="default: both")
+    return parser
+
+
+def _environment(place: int, variant: Mapping[str, str]) -> Mapping[str, str]:
+    return {**os.environ, "PYTHONHASHSEED": str(place + 1), "PYTHONDONTWRITEBYTECODE": "1", **variant}
+
+
+def _variant(place: int, name: str, folder: Path, sessions: Mapping[str, Path]) -> Run:
+    environment = _environment(place, VARIANTS[name])
+    return _verified(_judged(name, [sys.executable], folder, environment), sessions, environment)
+
+
+def _emulated(folder: Path) -> Run:
+    name = "emulated aarch64"
+    try:
+        command = emulator.python().command([])
+    except emulator.EmulatorError as error:
+        return Run(name, failure=str(error))
+    found = _judged(name, command, folder, _environment(len(VARIANTS), {}))
+    strange = {one.machine for one in found.judgements} - {"aarch64"}
+    return found._replace(failure=f"it ran on {', '.join(strange)}") if strange else found
+
+
+def _judged(name: str, python: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Run:
+    try:
+        done = emulator.run([*python, "-m", "tests.equality.judge", str(folder)], environment)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Run(name, failure=str(error))
+    if done.returncode != 0:
+        return Run(name, failure=done.stderr.strip()[-500:] or f"exit {done.returncode}")
+    return Run(name, tuple(Judgement(**one) for one in json.loads(done.stdout)))
+
+
+def _verified(run: Run, sessions: Mapping[str, Path], environment: Mapping[str, str]) -> Run:
+    """The command that people use must come to the same verdict."""
+    if run.failure is not None:
+        return run
+    for robot, session in sessions.items():
+        done = emulator.run([sys.executable, "-m", "gateway", "replay", "verify", "--json", str(session)], environment)
+        if done.returncode != 0:
+            return run._replace(failure=f"replay verify of {robot}: {_words(done)}")
+    return run
+
+
+def _words(done: subprocess.CompletedProcess[str]) -> str:
+    """Why it was not identical, or why there was no verdict."""
+    try:
+        verdict = json.loads(done.stdout)
+        difference = verdict["first_difference"]
+        return (
+            f"{difference['field']} differs in cycle {difference['cycle']}" if difference else str(verdict["problem"])
+        )
+    except (LookupError, TypeError, ValueError):
+        return (done.stderr or done.stdout).strip()[-500:] or f"exit {done.returncode}"
+
+
+def _problems(run: Run, expected: Sequence[Judgement]) -> list[str]:
+    if run.failure is not None:
+        return [run.failure]
+    problems = [
+        f"{one.robot}: differs from the recording in cycle {one.first_difference}"
+        for one in run.judgements
+        if one.first_difference is not None
+    ]
+    digests = {one.robot: one.digest for one in run.judgements}
+    problems += [f"{one.robot}: other bits than here" for one in expected if digests.get(one.robot) != one.digest]
+    return problems or ([] if expected else ["no drive was judged"])
+
+
+def _line(run: Run, expected: Sequence[Judgement]) -> str:
+    problems = _problems(run, expected)
+    if problems:
+        return f"FAIL {run.name}: {'; '.join(problems)}"
+    drives = ", ".join(f"{one.robot} {one.digest[:12]} ({one.cycles} cycles)" for one in run.judgements)
+    other = run.judgements[0].mathematics != expected[0].mathematics
+    return f"PASS {run.name}: {drives}{'; its libraries compute other bits than those here' if other else ''}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""The lane `tests.equality` sees a single bit, and calls what cannot run a failure."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import pytest
+
+from gateway.types import Twist
+from tests.equality import __main__ as lane
+from tests.equality import emulator, judge
+from tests.equality.judge import Judgement
+from tests.world import World
+
+
+@pytest.fixture(scope="module")
+def drive() -> World:
+    world = World("moby")
+    world.start()
+    world.run(0.5, Twist(0.3, 0.2, 0.4))
+    return world
+
+
+def judged(world: World) -> Judgement:
+    return judge.judge("moby", world.text, judge.packed(world.records))
+
+
+def test_the_same_twice_and_as_recorded(drive: World) -> None:
+    first, second = judged(drive), judged(drive)
+    assert first == second
+    assert (first.first_difference, first.cycles) == (None, len(drive.records))
+
+
+def test_a_bit_of_the_recording_is_seen(drive: World) -> None:
+    world = World("moby")
+    world.records = list(drive.records)
+    inputs, outputs = world.records[-1]
+    pose = outputs.trace.pose
+    trace = outputs.trace._replace(pose=pose._replace(x=math.nextafter(pose.x, 1.0)))
+    world.records[-1] = (inputs, outputs._replace(trace=trace))
+    assert judged(world).first_difference == inputs.cycle
+    assert judged(world).digest == judged(drive).digest
+
+
+def test_a_bit_of_the_arithmetic_is_seen(drive: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cosine of the heading that is off by one last bit, as it was between processors."""
+    expected = judged(drive)
+    monkeypatch.setattr("gateway.core.odometry.sin_cos", lambda x: (math.sin(x), math.nextafter(math.cos(x), 0.0)))
+    found = judged(drive)
+    assert found.digest != expected.digest
+    assert found.first_difference is not None
+
+
+JUDGEMENT = Judgement("moby", "aarch64", 9, None, "ab" * 32, "cd")
+
+
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [
+        (lane.Run("x", (JUDGEMENT,)), "PASS x: moby abababababab (9 cycles)"),
+        (
+            lane.Run("x", (JUDGEMENT._replace(mathematics="e"),)),
+            "PASS x: moby abababababab (9 cycles); its libraries compute other bits than those here",
+        ),
+        (lane.Run("x", (JUDGEMENT._replace(digest="0"),)), "FAIL x: moby: other bits than here"),
+        (
+            lane.Run("x", (JUDGEMENT._replace(first_difference=4),)),
+            "FAIL x: moby: differs from the recording in cycle 4",
+        ),
+        (lane.Run("x", ()), "FAIL x: moby: other bits than here"),
+        (lane.Run("x", failure="no such thing"), "FAIL x: no such thing"),
+    ],
+)
+def test_verdicts(run: lane.Run, words: str) -> None:
+    assert lane._line(run, [JUDGEMENT]) == words
+
+
+def test_nothing_judged_is_a_failure() -> None:
+    assert lane._line(lane.Run("x"), []) == "FAIL x: no drive was judged"
+
+
+def test_without_packages_there_is_no_emulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It fails with the tool's own words, and leaves nothing in the cache that looks whole."""
+
+    def fails(command: Sequence[str], environment: Mapping[str, str]) -> CompletedProcess[str]:
+        return CompletedProcess(command, 100, "", "E: no network")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("tests.vm.packages.missing", lambda _: [])
+    monkeypatch.setattr(emulator, "run", fails)
+    with pytest.raises(emulator.EmulatorError, match="apt-get failed: E: no network"):
+        emulator.python()
+    assert list((tmp_path / "drivegate").iterdir()) == []
+    assert lane._emulated(tmp_path).failure == "apt-get failed: E: no network"
+
+
+def test_without_tools_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.vm.packages.missing", lambda _: ["qemu-user-static"])
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    with pytest.raises(emulator.EmulatorError, match="apt-get install qemu-user-static"):
+        emulator.python()
+
+
+def test_a_folder_without_python(tmp_path: Path) -> None:
+    with pytest.raises(emulator.EmulatorError, match="no Python"):
+        emulator.interpreter(tmp_path)
