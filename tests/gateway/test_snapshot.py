@@ -148,6 +148,7 @@ def test_a_damaged_one_is_a_snapshot_error_and_nothing_else() -> None:
     assert Engine(config, state).snapshot() == state
 
 
+@pytest.mark.pure_python  # a compiled class takes no new attribute
 def test_state_of_a_type_nobody_thought_of_is_a_loud_error() -> None:
     engine = World("moby").engine
     engine._novelty = iter(())  # type: ignore[attr-defined]
@@ -166,6 +167,7 @@ def test_what_two_share_is_shared_again() -> None:
     assert restored._positions is not odometry._positions
 
 
+@pytest.mark.pure_python  # reads the source
 @pytest.mark.parametrize("owner", OWNERS)
 def test_what_is_left_out_never_changes_after_construction(owner: str) -> None:
     module, _, name = owner.rpartition(".")

@@ -91,6 +91,7 @@ def test_cycles_that_no_snapshot_leads_to_are_counted(world: World, tmp_path: Pa
     assert (verdict.exit_code, verdict.cycles, verdict.unseen) == (3, 70, CYCLES - 80)
 
 
+@pytest.mark.pure_python  # replaces a function of the core
 def test_a_snapshot_that_this_software_refuses_is_said(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise SnapshotError("the snapshot is of another version of the software")
