@@ -154,7 +154,7 @@ class Engine:
                 _seconds(selection.age_ns),
                 residual,
             ),
-            self._shutdown and not self._energised and self._mode not in HOLDING,
+            self._shutdown and not self._energised,
         )
 
     def coast_frames(self) -> list[CanFrame]:
@@ -312,10 +312,9 @@ class Engine:
                 blocked=blocked,
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
-                reduced=not well and not blocked and not all(health.usable),
+                reduced=not all(health.usable),
                 commanded=selection.command is not None,
-                start=self._mode is Mode.IDLE
-                and selection.command is not None
+                start=selection.command is not None
                 and selection.command.twist == ZERO_TWIST
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,

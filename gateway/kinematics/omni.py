@@ -66,9 +66,9 @@ class OmniKinematics:
         if None in speeds:
             measured = tuple(speed is not None for speed in speeds)
             solution = self._solution(measured)
-            known = [speed for speed in speeds if speed is not None]
+            known: Sequence[float] = [speed for speed in speeds if speed is not None]
         else:
-            solution, known = self._solutions[self._all], cast("list[float]", speeds)
+            solution, known = self._solutions[self._all], cast("Sequence[float]", speeds)
         if solution is None:
             return None
         vx = vy = wz = 0.0
