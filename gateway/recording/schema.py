@@ -197,7 +197,8 @@ def _odometry(row: Row) -> Odometry:
 
 # `frames_in` to `odometry`: how many rows the cycle has in the table of that name. `late_ns`, `work_ns`, `wall_ns`: how
 # the loop kept time, which no replay needs.
-CAN_COLUMNS = {  # the fields of CanFrame, in its order; data may be longer than the 8 bytes of classic CAN
+# Data takes the 64 bytes of CAN FD; its flags will be two more columns, which older blocks read as false.
+CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "bus": Kind.TEXT,
     "id": Kind.ID,
     "data": Kind.BINARY,
