@@ -195,8 +195,6 @@ def _odometry(row: Row) -> Odometry:
     return Odometry(Pose(x, y, theta), twist, tuple(covariance), residual)
 
 
-# `frames_in` to `odometry`: how many rows the cycle has in the table of that name. `late_ns`, `work_ns`, `wall_ns`: how
-# the loop kept time, which no replay needs.
 # Data takes the 64 bytes of CAN FD; its flags will be two more columns, which older blocks read as false.
 CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "bus": Kind.TEXT,
@@ -262,6 +260,8 @@ def _cycle_rows(record: Record) -> Sequence[Row]:
     return ((x.cycle, x.now_ns, x.overruns, x.dropped_records, *record.timing, y.mode.value, y.finished),)
 
 
+# `late_ns`, `work_ns`, `wall_ns`: how the loop kept time, which no replay needs. The block adds one column for each of
+# the other tables, by its name: how many rows the cycle has in it.
 CYCLES = Table(
     "cycles",
     dict.fromkeys(COUNTERS, Kind.INT) | {"mode": Kind.TEXT, "finished": Kind.BOOL},
