@@ -21,6 +21,7 @@ from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_time
 from gateway.core.engine import Engine
+from gateway.core.snapshot import State
 from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
 from gateway.edges.can_bus import BusEdge
 from gateway.edges.estop_gate import EstopGate, News
@@ -77,7 +78,7 @@ class RecorderEdge(Protocol):
     @property
     def dropped(self) -> int: ...
 
-    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None: ...
+    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State]) -> None: ...
 
     def poll(self) -> None: ...
 
@@ -308,7 +309,7 @@ class Service:
         return self._unrecorded + self._try(lambda: self._recorder.dropped, 0, self._lose_recorder)
 
     def _record(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
-        self._try(partial(self._recorder.put, inputs, outputs, timing), None, self._lose_record)
+        self._try(partial(self._recorder.put, inputs, outputs, timing, self._engine.snapshot), None, self._lose_record)
 
     def _lose_record(self, error: Exception) -> None:
         self._unrecorded += 1

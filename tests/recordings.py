@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gateway.config import RobotConfig, parse
-from gateway.recording.packets import Gap, Hello, Record
+from gateway.core.engine import Engine
+from gateway.recording.packets import Gap, Hello, Record, Snapshot
 from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Inputs
 from replay.sessions.reader import RecordedOutputs
@@ -67,13 +68,26 @@ def world_writer(directory: Path, world: World, *, started_ns: int = STARTED_NS,
 
 
 def write_drive(
-    directory: Path, world: World, *, batch: int | None = None, started_ns: int = STARTED_NS, **recording: object
+    directory: Path,
+    world: World,
+    *,
+    batch: int | None = None,
+    started_ns: int = STARTED_NS,
+    snapshots: bool = False,
+    **recording: object,
 ) -> Path:
-    """The closed session of a drive of tests.world."""
+    """The closed session of a drive of tests.world; with `snapshots`, one in front of every batch but the first."""
     session = world_writer(directory, world, started_ns=started_ns, **recording)
     records = [Record(inputs, outputs, CycleTiming(0, 0, 0)) for inputs, outputs in world.records]
+    engine = Engine(world.config) if snapshots else None
+    snapshot = None
     for start in range(0, len(records), batch or len(records)):
-        session.write(records[start : start + (batch or len(records))])
+        some = records[start : start + (batch or len(records))]
+        session.write(some, (), snapshot)
+        if engine is not None:
+            for record in some:
+                engine.step(record.inputs)
+            snapshot = Snapshot.of(some[-1].inputs.cycle, engine.snapshot())
     session.close()
     return session.folder
 

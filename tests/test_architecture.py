@@ -29,7 +29,7 @@ ROOMS: dict[str, set[str]] = {
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "gateway/core"},
-    "gateway/recording": {"drivers", "ground", "gateway/edges"},
+    "gateway/recording": {"drivers", "ground", "gateway/core", "gateway/edges"},
     "entrance": {"drivers", "ground", "gateway/control", "gateway/core", "gateway/edges"},
     "replay": set(),
     "replay/sim/controllers": {"drivers", "ground"},

@@ -1,6 +1,8 @@
 """`drivegate replay`: what to do with a recorded session."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +16,7 @@ from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
 from gateway.edges.zenoh_session import LinkError
 from replay.compare.likeness import Comparison
+from replay.compare.retrace import columns, frames, rows
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
 from replay.compare.verify import verify as run_verify
 from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
@@ -41,11 +44,13 @@ def verify(
     Exit 0: identical, and the recording is provably complete. Exit 1: different, complete or not. Exit 2: it cannot be
     replayed at all (no session, no cycles, no beginning, a robot file that is refused). Exit 3: identical as far as it
     goes, but the recording is incomplete: cycles lost or cut out, a segment unclosed, missing or damaged, the end
-    missing, or the beginning deleted by recording.disk_budget or min_free (then nothing is compared).
+    missing, or the beginning deleted by recording.disk_budget or min_free. Behind what is missing the comparison goes
+    on from the next snapshot of the core, of which the recording has one every five seconds.
 
-    --json: identical (true with exit 0 only), complete, cycles and frames compared, realtime_ratio, first_difference
-    (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or null), exit_code, software_change
-    (what computes the outputs and is not what it was, or null).
+    --json: identical (true with exit 0 only), complete, cycles and frames compared, unseen (cycles that could not be),
+    realtime_ratio, first_difference (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or
+    null), refused (why a snapshot was of no use, or null), exit_code, software_change (what computes the outputs and is
+    not what it was, or null).
     """
     try:
         verdict = verify_with_progress(open_session(session))
@@ -83,8 +88,8 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
     """
     try:
         opened = open_session(session)
-        frames = _chosen(opened, bus, only)
-        played = _played(frames, interface, channel, speed, live=live)
+        chosen = _chosen(opened, bus, only)
+        played = _played(chosen, interface, channel, speed, live=live)
     except (SessionError, AdapterError, OSError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
@@ -180,6 +185,57 @@ def _show_comparison(found: Comparison) -> None:
         console.print("[green]alike[/]")
 
 
+From = Annotated[float, typer.Option("--from", help="s since the first recorded cycle.")]
+To = Annotated[float, typer.Option("--to", help="s since the first recorded cycle.")]
+
+
+@replay.command()
+def trace(
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    begin: From = 0.0,
+    end: To = inf,
+) -> None:
+    """Print setpoints, measured motion, pose and motors of every cycle as CSV, computed again from the recorded inputs.
+
+    SI, at the output; empty where something is unknown or released. Exit 0, 2 if there is nothing, 3 if the recording
+    is incomplete: behind what is missing it goes on from the next snapshot of the core.
+    """
+    with _told(session) as opened:
+        typer.echo(",".join(columns(opened)))
+        for row in rows(opened):
+            if begin <= float(row[1] or 0.0) <= end:
+                typer.echo(",".join("" if cell is None else str(cell) for cell in row))
+
+
+@replay.command()
+def can(
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    begin: From = 0.0,
+    end: To = inf,
+) -> None:
+    """Print every recorded CAN frame in words: time, rx or tx, motor, message and fields, and the frame itself.
+
+    Exit 0, 2 if there is nothing, 3 if the recording is incomplete.
+    """
+    with _told(session) as opened:
+        for told in frames(opened):
+            if begin <= told.t <= end:
+                typer.echo(f"{told.t:.6f} {'tx' if told.sent else 'rx'} {told.words}")
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[Session]:
+    """An opened session to tell of, and the exit code of having told."""
+    try:
+        opened = open_session(path)
+        yield opened
+    except (SessionError, ConfigError) as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    code = _exit_of(opened)
+    raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
+
+
 def verify_with_progress(session: Session) -> Verdict:
     """Verify with a progress bar on a terminal."""
     columns = (TextColumn("verifying"), BarColumn(), TextColumn("{task.completed:.0f} cycles"), TimeRemainingColumn())
@@ -207,3 +263,7 @@ def show(verdict: Verdict) -> None:
         console.print("[yellow]not replayable[/]: nothing could be compared")
     if verdict.problem is not None:
         console.print(f"  the recording: {verdict.problem}", highlight=False)
+    if verdict.unseen:
+        console.print(f"  not compared: {verdict.unseen} cycles that no snapshot leads to", highlight=False)
+    if verdict.refused is not None:
+        console.print(f"  a snapshot was of no use: {verdict.refused}", highlight=False)

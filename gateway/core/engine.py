@@ -20,6 +20,7 @@ from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess
+from gateway.core import snapshot as snapshots
 from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
 from gateway.core.detectors import SlipDetector
@@ -58,9 +59,12 @@ RETREAT = 5.0  # top speeds per second at which it is taken back beyond that: no
 
 
 class Engine:
-    """From `Inputs` to `Outputs`, once per cycle; one writer, one thread. Raises ConfigError at construction."""
+    """From `Inputs` to `Outputs`, once per cycle; one writer, one thread.
 
-    def __init__(self, config: RobotConfig) -> None:
+    `state`: a snapshot to go on from. Raises ConfigError, SnapshotError at construction.
+    """
+
+    def __init__(self, config: RobotConfig, state: snapshots.State | None = None) -> None:
         robot = build(config)
         self._robot_name = config.robot.name
         self._names = robot.names
@@ -92,6 +96,13 @@ class Engine:
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
         self._measured = self._motors.measure(0, self._period)  # nothing yet
+        self._robot_file = snapshots.fingerprint(config)
+        if state is not None:
+            snapshots.put(self, self._robot_file, state)
+
+    def snapshot(self) -> snapshots.State:
+        """The state after the last step as plain data; `Engine(config, state)` goes on from it byte for byte."""
+        return snapshots.take(self, self._robot_file)
 
     @property
     def mode(self) -> Mode:

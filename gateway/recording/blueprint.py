@@ -4,11 +4,23 @@ import rerun.blueprint as rrb
 
 from gateway.recording.schema import CYCLE, WALL
 from gateway.recording.shapes import BODY, PATH, WORLD
-from gateway.recording.views import COMMAND_AGE, EVENTS, LOOP, MODE, POSE, RESIDUAL, TWIST_MEASURED, TWIST_TARGET
+from gateway.recording.views import (
+    CAN_IN,
+    CAN_OUT,
+    COMMAND_AGE,
+    EVENTS,
+    LOOP,
+    MODE,
+    POSE,
+    RESIDUAL,
+    TWIST_MEASURED,
+    TWIST_TARGET,
+)
 
 PATH_SECONDS = 120.0
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
 _EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["loglevel", "body"])
+_CAN_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["body"])
 
 
 def blueprint(*, eye_height: float) -> rrb.Blueprint:
@@ -43,8 +55,8 @@ def blueprint(*, eye_height: float) -> rrb.Blueprint:
                 rrb.StateTimelineView(origin=MODE, name="Mode"),
                 rrb.Tabs(
                     rrb.TextLogView(origin=EVENTS, name="Events", columns=_EVENT_COLUMNS),
-                    rrb.DataframeView(origin="/inputs/can", name="CAN in"),
-                    rrb.DataframeView(origin="/outputs/can", name="CAN out"),
+                    rrb.TextLogView(origin=CAN_IN, name="CAN in", columns=_CAN_COLUMNS),
+                    rrb.TextLogView(origin=CAN_OUT, name="CAN out", columns=_CAN_COLUMNS),
                     rrb.TextDocumentView(origin="/config", name="Robot file"),
                     active_tab=0,
                 ),

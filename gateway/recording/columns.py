@@ -1,7 +1,6 @@
-"""From the rows of a batch of cycles to Arrow columns: exact values, None as an empty cell."""
+"""From rows to the Arrow columns of an entity of Rerun's: exact values, None as an empty cell."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import pyarrow as pa
 import rerun as rr
 
 from gateway.recording.packets import Record
-from gateway.recording.schema import CYCLE, INDEX, MONO, WALL, Entity, Kind, Row
+from gateway.recording.schema import CYCLE, WALL, Kind, Row
 
 Integers = npt.NDArray[np.int64]
 
@@ -27,30 +26,8 @@ class Times:
         """Times of rows that belong to the cycles at these places of the batch."""
         return [
             rr.TimeColumn(CYCLE, sequence=self.cycle[places]),
-            rr.TimeColumn(MONO, duration=self.mono[places].view("timedelta64[ns]")),
             rr.TimeColumn(WALL, timestamp=self.wall[places].view("datetime64[ns]")),
         ]
-
-
-class Block:
-    """All rows of one entity in a batch. Raises (OverflowError, TypeError, ValueError) on a value beyond its column."""
-
-    def __init__(self, entity: Entity, records: Sequence[Record]) -> None:
-        rows = [entity.rows(record) for record in records]
-        counts = np.array([len(group) for group in rows], np.int64)
-        total = int(counts.sum())
-        self.entity = entity
-        self.places = np.repeat(np.arange(len(rows)), counts)
-        index = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
-        self.arrays = arrays(entity.columns, list(chain.from_iterable(rows)))
-        self.arrays[INDEX] = pa.array(index.astype(np.uint32))
-
-    def send(self, recording: rr.RecordingStream, times: Times) -> None:
-        """Hand the rows to Rerun; an entity without rows costs nothing."""
-        if not self.places.size:
-            return
-        columns = rr.DynamicArchetype.columns(archetype=self.entity.archetype, components=self.arrays)
-        recording.send_columns(self.entity.path, times.at(self.places), columns)
 
 
 def arrays(columns: Mapping[str, Kind], rows: Sequence[Row]) -> dict[str, pa.Array]:
@@ -77,13 +54,8 @@ def _maybe(kind: pa.DataType) -> Callable[[Sequence[Any]], pa.Array]:
 
 _ARRAYS: dict[Kind, Callable[[Sequence[Any]], pa.Array]] = {
     Kind.INT: _plain(pa.int64()),
-    Kind.ID: _plain(pa.uint32()),
-    Kind.FLOAT: _plain(pa.float64()),
     Kind.BOOL: _plain(pa.bool_()),
     Kind.TEXT: _plain(pa.string()),
     Kind.BINARY: _plain(pa.binary()),
-    Kind.FLOATS: _plain(pa.list_(pa.float64())),
     Kind.MAYBE_INT: _maybe(pa.int64()),
-    Kind.MAYBE_FLOAT: _maybe(pa.float64()),
-    Kind.MAYBE_TEXT: _maybe(pa.string()),
 }

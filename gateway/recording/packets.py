@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from gateway.core.snapshot import State
 from gateway.types import CycleTiming, Inputs, Outputs
 
 
@@ -27,6 +28,18 @@ class Record(msgspec.Struct, frozen=True, array_like=True, tag="cycle"):
     inputs: Inputs
     outputs: Outputs
     timing: CycleTiming
+
+
+class Snapshot(msgspec.Struct, frozen=True, array_like=True, tag="snapshot"):
+    """State of the core after this cycle (`Engine.snapshot`, packed): from here a replay can begin."""
+
+    cycle: int
+    state: bytes
+
+    @classmethod
+    def of(cls, cycle: int, state: State) -> "Snapshot":
+        """Raises TypeError, ValueError, OverflowError on a state that is no plain data."""
+        return cls(cycle, encode(state))
 
 
 class Gap(msgspec.Struct, frozen=True, array_like=True, tag="gap"):
@@ -57,8 +70,9 @@ class RecorderReport(NamedTuple):
     closed: bool
 
 
-Packet = Record | Gap | End
+Packet = Record | Snapshot | Gap | End
 
+SNAPSHOT_PERIOD_NS = 5_000_000_000  # of taking one: 0.2 ms in the loop, some 3 kB on the disk
 PACKET_LIMIT = 1 << 20  # bytes; a cycle of 1 MB has some 40 000 frames
 
 _encoder = msgspec.msgpack.Encoder()

@@ -26,6 +26,7 @@ from gateway.recording.packets import (
     Packet,
     Record,
     RecorderReport,
+    Snapshot,
     decode_hello,
     decode_packet,
     encode,
@@ -88,6 +89,7 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
     inbox.send(writer.report())
     records: list[Record] = []
     gaps: list[Gap] = []
+    snapshot: Snapshot | None = None
     due_ns = 0
     ended = False
     while not inbox.ended:
@@ -98,15 +100,22 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
             if isinstance(packet, Gap):
                 gaps.append(packet)
                 continue
+            if isinstance(packet, Snapshot):  # a batch begins behind it, and so can a segment
+                if records:
+                    with _within_limit():
+                        writer.write(records, gaps, snapshot)
+                    records, gaps = [], []
+                snapshot = packet
+                continue
             if not records:
                 due_ns = time.monotonic_ns() + BATCH_NS
             records.append(packet)
         full = len(records) >= BATCH_RECORDS
         if records and (full or inbox.ended or time.monotonic_ns() >= due_ns):
             with _within_limit():
-                writer.write(records, gaps)
+                writer.write(records, gaps, snapshot)
             inbox.send(writer.report())
-            records, gaps = [], []
+            records, gaps, snapshot = [], [], None
         if not full and not inbox.ended:
             time.sleep(DRAIN_PERIOD_S)
     with _within_limit():

@@ -14,14 +14,16 @@ import logging
 import signal
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
+from gateway.core.snapshot import State
 from gateway.recording.child import RecorderChild, TooLongError
-from gateway.recording.packets import End, Gap, Hello, Record, encode
+from gateway.recording.packets import SNAPSHOT_PERIOD_NS, End, Gap, Hello, Record, Snapshot, encode
 from gateway.types import CycleTiming, Inputs, Outputs
 
 logger = logging.getLogger(__name__)
@@ -41,7 +43,7 @@ class RecorderError(RuntimeError):
 
 
 class _Waiting(NamedTuple):
-    cycle: int | None  # None: a gap marker, or the end
+    cycle: int | None  # None: a gap marker, a snapshot, or the end
     packet: bytes
 
 
@@ -68,6 +70,7 @@ class Recorder:
         self._backoff_s = FIRST_BACKOFF_S
         self._retry_at = 0.0
         self._starting = False
+        self._snapshot_due_ns = 0
         self._orders: SimpleQueue[Hello | None] = SimpleQueue()
         self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
         self._child: RecorderChild | None = RecorderChild(self._hello)
@@ -94,8 +97,27 @@ class Recorder:
             "error": self.error,
         }
 
-    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
-        """Record one cycle. Never waits, never raises."""
+    def put(
+        self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State] | None = None
+    ) -> None:
+        """Record one cycle, and every few seconds the state of the core behind it. Never waits.
+
+        Raises only what `state` raises.
+        """
+        self._put(inputs, outputs, timing)
+        if state is not None and inputs.now_ns >= self._snapshot_due_ns:
+            self._snapshot_due_ns = inputs.now_ns + SNAPSHOT_PERIOD_NS
+            self._put_snapshot(Snapshot.of(inputs.cycle, state()))
+
+    def _put_snapshot(self, snapshot: Snapshot) -> None:
+        """In its place behind its cycle; left out while cycles are being lost, for it can wait."""
+        if self._gap is not None:
+            return
+        packet = encode(snapshot)
+        if self._backlog or not self._send(None, packet):
+            self._append(_Waiting(None, packet))
+
+    def _put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
         try:
             packet = encode(Record(inputs, outputs, timing))
         except (TypeError, ValueError, OverflowError) as error:
@@ -263,7 +285,9 @@ class NullRecorder:
     dropped = 0
     alive = False
 
-    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+    def put(
+        self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State] | None = None
+    ) -> None:
         """Forget it."""
 
     def poll(self) -> None:

@@ -10,15 +10,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from gateway.recording.columns import Block, Times, arrays
+from gateway.recording.block import packed
+from gateway.recording.columns import Times, arrays
 from gateway.recording.disk import FILE_MODE
-from gateway.recording.packets import Gap, Record
+from gateway.recording.packets import Gap, Record, Snapshot
 from gateway.recording.schema import (
     APPLICATION_ID,
-    BATCH,
+    BLOCK_ARCHETYPE,
+    BLOCK_COLUMNS,
+    BLOCK_PATH,
     CYCLE,
     FOOTER_MARK,
     FOOTER_TAIL,
@@ -31,13 +35,20 @@ from gateway.recording.schema import (
     SEAL_ARCHETYPE,
     SEAL_COLUMNS,
     SEAL_PATH,
+    SNAPSHOT_ARCHETYPE,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
+    STATUS_ARCHETYPE,
+    STATUS_COLUMNS,
+    STATUS_PATH,
     Header,
+    status_row,
 )
 from gateway.recording.views import Views
 
 FLUSH_TIMEOUT_S = 3.0
-FOOTER_BYTES = 170_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
-FOOTER_BYTES_PER_BATCH = 4000
+FOOTER_BYTES = 135_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
+FOOTER_BYTES_PER_BATCH = 1000
 _PIECE = 1 << 20  # read at a time
 
 
@@ -84,10 +95,25 @@ class Segment:
 
     def _write_records(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         times = Times(records)
-        blocks = [Block(entity, records) for entity in BATCH]
+        columns = arrays(BLOCK_COLUMNS, [(len(records), packed(records))])
         self._views.send(self._recording, records, gaps, times)
-        for block in blocks:
-            block.send(self._recording, times)
+        self._send_status(records, times)
+        block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
+        self._recording.send_columns(BLOCK_PATH, times.at(np.zeros(1, np.int64)), block)
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """Write the state of the core from which the next batch goes on."""
+        columns = arrays(SNAPSHOT_COLUMNS, [(snapshot.cycle, snapshot.state, zlib.crc32(snapshot.state))])
+        state = rr.DynamicArchetype.columns(archetype=SNAPSHOT_ARCHETYPE, components=columns)
+        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[snapshot.cycle])], state)
+
+    def _send_status(self, records: Sequence[Record], times: Times) -> None:
+        said = [(place, record.outputs.status) for place, record in enumerate(records)]
+        rows = [(place, status_row(status)) for place, status in said if status is not None]
+        if rows:
+            columns = arrays(STATUS_COLUMNS, [row for _, row in rows])
+            status = rr.DynamicArchetype.columns(archetype=STATUS_ARCHETYPE, components=columns)
+            self._recording.send_columns(STATUS_PATH, times.at(np.array([place for place, _ in rows])), status)
 
     def flush(self) -> None:
         """Hand everything to the kernel. Raises WriterDeadError."""

@@ -1,4 +1,12 @@
-"""What people see of a session: plots, modes, events and the robot from above. Never read back, never replayed."""
+"""What people see of a session: plots, modes, events, CAN in words, the robot from above. Never read back.
+
+How this works
+--------------
+Everything here follows from the inputs, which are recorded whole (`gateway.recording.schema`), so it is drawn at a
+viewing rate: plots 50 times a second, the robot 20 times, and of each CAN message the first of every half second, so
+that a rare one is always there. Of the loop's timing the worst since the point before is drawn. Every cycle and every
+frame can be had later: `drivegate replay trace`, `drivegate replay can`.
+"""
 
 from collections.abc import Sequence
 
@@ -6,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from drivers.contract import CanFrame
 from gateway.config import RobotConfig
+from gateway.core.frame_words import FrameWords
 from gateway.recording.columns import Integers, Times
 from gateway.recording.packets import Gap, Record
 from gateway.recording.shapes import CHASSIS_PATH, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
 from gateway.types import Event, Level, Mode, Pose, Trace, Twist
 
-WHEELS_COMMANDED = "/trace/wheels/commanded"
-WHEELS_MEASURED = "/trace/wheels/measured"
+WHEELS = "/trace/wheels"
 TWIST_TARGET = "/trace/twist/target"
 TWIST_SETPOINT = "/trace/twist/setpoint"
 TWIST_MEASURED = "/trace/twist/measured"
@@ -23,8 +32,12 @@ COMMAND_AGE = "/trace/command_age"
 RESIDUAL = "/trace/residual"
 MODE = "/trace/mode"
 EVENTS = "/trace/events"
+CAN_IN = "/trace/can/in"
+CAN_OUT = "/trace/can/out"
 
+PLOT_PERIOD_NS = 20_000_000
 PICTURE_PERIOD_NS = 50_000_000
+CAN_PERIOD_NS = 500_000_000
 PATH_STEP = 0.01  # m; a standing robot draws nothing
 ARROW_SECONDS = 0.8  # an arrow is as long as the way of this time
 
@@ -45,6 +58,7 @@ _LEVELS = {
 _NAN3 = (np.nan,) * 3
 
 Floats = npt.NDArray[np.float64]
+FrameKey = tuple[object, ...]  # bus and id
 
 
 class Views:
@@ -55,18 +69,20 @@ class Views:
         self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = next((i for i, kind in enumerate(self._names) if kind == _platform(config)), None)
         self._mode: Mode | None = None
-        self._picture = -1
+        self._words = FrameWords(config)
+        self._plot = self._picture = self._slot = -1
+        self._seen: dict[str, set[FrameKey]] = {CAN_IN: set(), CAN_OUT: set()}
         self._joint_angle = 0.0
         self._path_end: Pose | None = None
 
     def begin(self, recording: rr.RecordingStream) -> None:
         """Everything static, which Rerun keeps only in the segment it was sent to."""
         self._mode = None
-        _lines(recording, WHEELS_COMMANDED, [f"{name} commanded" for name in self._names], wide=True)
-        _lines(recording, WHEELS_MEASURED, [f"{name} measured" for name in self._names])
+        asked, measured = ([f"{name} {what}" for name in self._names] for what in ("commanded", "measured"))
+        _lines(recording, WHEELS, measured, asked=asked)  # one entity: each costs a kilobyte per batch
         axes = ("vx", "vy", "wz")
-        _lines(recording, TWIST_TARGET, [f"{axis} wanted" for axis in axes], wide=True)
-        _lines(recording, TWIST_SETPOINT, [f"{axis} limited" for axis in axes], wide=True)
+        _lines(recording, TWIST_TARGET, [], asked=[f"{axis} wanted" for axis in axes])
+        _lines(recording, TWIST_SETPOINT, [], asked=[f"{axis} limited" for axis in axes])
         _lines(recording, TWIST_MEASURED, [f"{axis} measured" for axis in axes])
         _lines(recording, POSE, ["x [m]", "y [m]", "theta [rad]"])
         _lines(recording, LOOP, ["late [ms]", "work [ms]"])
@@ -82,17 +98,20 @@ class Views:
     def send(self, recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times) -> None:
         """The pictures of one batch."""
         traces = [record.outputs.trace for record in records]
-        self._send_plots(recording, traces, times)
-        self._send_loop(recording, records, times)
+        plotted, self._plot = _places(times, PLOT_PERIOD_NS, self._plot)
+        if plotted.size:
+            when = times.at(plotted)
+            self._send_plots(recording, [traces[place] for place in plotted], when)
+            self._send_loop(recording, records, plotted, when)
         self._send_modes(recording, records, times)
         self._send_events(recording, records, gaps, times)
+        self._send_can(recording, records, times)
         self._send_pictures(recording, traces, times)
 
-    def _send_plots(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
-        everywhere = times.at(np.arange(len(traces)))
+    @staticmethod
+    def _send_plots(recording: rr.RecordingStream, traces: Sequence[Trace], when: list[rr.TimeColumn]) -> None:
         for path, values in (
-            (WHEELS_COMMANDED, [trace.wheel_setpoints for trace in traces]),
-            (WHEELS_MEASURED, [trace.wheel_speeds for trace in traces]),
+            (WHEELS, [(*trace.wheel_setpoints, *trace.wheel_speeds) for trace in traces]),
             (TWIST_TARGET, [trace.target for trace in traces]),
             (TWIST_SETPOINT, [trace.setpoint for trace in traces]),
             (TWIST_MEASURED, [trace.measured or _NAN3 for trace in traces]),
@@ -102,12 +121,17 @@ class Views:
         ):
             numbers = np.array(values, np.float64)  # None becomes NaN, which is a hole in the line
             if not np.isnan(numbers).all():
-                recording.send_columns(path, everywhere, rr.Scalars.columns(scalars=numbers))
+                recording.send_columns(path, when, rr.Scalars.columns(scalars=numbers))
 
     @staticmethod
-    def _send_loop(recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+    def _send_loop(
+        recording: rr.RecordingStream, records: Sequence[Record], places: Integers, when: list[rr.TimeColumn]
+    ) -> None:
+        """The worst of the cycles since the point before, so that none of them hides between two points."""
         spent = np.array([(record.timing.late_ns, record.timing.work_ns) for record in records], np.float64) * 1e-6
-        recording.send_columns(LOOP, times.at(np.arange(len(records))), rr.Scalars.columns(scalars=spent))
+        begins = np.concatenate([[0], places[:-1] + 1])
+        worst = np.maximum.reduceat(spent[: places[-1] + 1], begins)
+        recording.send_columns(LOOP, when, rr.Scalars.columns(scalars=worst))
 
     def _send_modes(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
         changes: list[int] = []
@@ -136,8 +160,28 @@ class Views:
             )
             recording.send_columns(EVENTS, times.at(np.array([place for place, _ in said])), columns)
 
+    def _send_can(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+        """Of each message the first of every half second, as message, motor and fields."""
+        shown: dict[str, list[tuple[int, CanFrame]]] = {CAN_IN: [], CAN_OUT: []}
+        for place, record in enumerate(records):
+            slot = record.inputs.now_ns // CAN_PERIOD_NS
+            if slot != self._slot:
+                self._slot = slot
+                for seen in self._seen.values():
+                    seen.clear()
+            for path, frames in ((CAN_IN, record.inputs.frames), (CAN_OUT, record.outputs.frames)):
+                for frame in frames:
+                    key = frame[:2]
+                    if key not in self._seen[path]:
+                        self._seen[path].add(key)
+                        shown[path].append((place, frame))
+        for path, chosen in shown.items():
+            if chosen:
+                texts = rr.TextLog.columns(text=[self._words.of(frame) for _, frame in chosen])
+                recording.send_columns(path, times.at(np.array([place for place, _ in chosen])), texts)
+
     def _send_pictures(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
-        places = self._picture_places(times)
+        places, self._picture = _places(times, PICTURE_PERIOD_NS, self._picture)
         if not places.size:
             return
         shown = [traces[place] for place in places]
@@ -151,13 +195,6 @@ class Views:
         for path, twists in ((COMMANDED, [t.target for t in shown]), (MEASURED, [t.measured for t in shown])):
             recording.send_columns(path, when, rr.Arrows3D.columns(vectors=_arrows(twists)))
         self._send_path(recording, shown, places, times)
-
-    def _picture_places(self, times: Times) -> Integers:
-        """About twenty cycles of each second."""
-        slots = times.mono // PICTURE_PERIOD_NS
-        fresh = np.diff(slots, prepend=self._picture) != 0
-        self._picture = int(slots[-1])
-        return np.flatnonzero(fresh)
 
     def _joint_angles(self, traces: Sequence[Trace]) -> Floats:
         """Platform relative to chassis (rad); the last known angle where it was not measured."""
@@ -185,15 +222,21 @@ class Views:
             recording.send_columns(PATH, times.at(np.array(drawn)), columns)
 
 
+def _places(times: Times, period_ns: int, slot: int) -> tuple[Integers, int]:
+    """The first cycle of each period, after that of number `slot`; and the number of the last period."""
+    slots = times.mono // period_ns
+    return np.flatnonzero(np.diff(slots, prepend=slot) != 0), int(slots[-1])
+
+
 def _platform(config: RobotConfig) -> str | None:
     return config.robot.platform if config.robot.kind == "offset_differential" else None
 
 
-def _lines(recording: rr.RecordingStream, path: str, names: list[str], *, wide: bool = False) -> None:
+def _lines(recording: rr.RecordingStream, path: str, measured: Sequence[str], *, asked: Sequence[str] = ()) -> None:
     """What was asked for is drawn wide and pale, so that what was measured lies visibly on top of it."""
-    shades = np.array(colours(len(names), pale=wide), np.uint32)
-    widths = [5.0 if wide else 1.5] * len(names)
-    recording.log(path, rr.SeriesLines(names=names, colors=shades, widths=widths), static=True)
+    shades = np.array([*colours(len(asked), pale=True), *colours(len(measured))], np.uint32)
+    widths = [5.0] * len(asked) + [1.5] * len(measured)
+    recording.log(path, rr.SeriesLines(names=[*asked, *measured], colors=shades, widths=widths), static=True)
 
 
 def _turned(angles: Floats) -> Floats:

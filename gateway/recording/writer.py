@@ -37,7 +37,7 @@ from gateway.recording.disk import (
     sync,
 )
 from gateway.recording.header import header
-from gateway.recording.packets import Gap, Hello, Record, RecorderReport
+from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Gap, Hello, Record, RecorderReport, Snapshot
 from gateway.recording.segment import Segment
 from gateway.recording.shapes import reach
 from gateway.recording.views import Views
@@ -70,6 +70,7 @@ class SessionWriter:
         self._first_segment = _first_segment(self.folder)
         self._largest_batch = 0
         self._opened_ns = 0
+        self._snapshot_ns = -2 * SNAPSHOT_PERIOD_NS  # none has come
         self._gaps: list[Gap] = []
         self._records = 0
         self._lost = 0
@@ -96,16 +97,22 @@ class SessionWriter:
         if self._room():
             self._open()
 
-    def write(self, records: Sequence[Record], gaps: Sequence[Gap] = ()) -> None:
-        """Write a batch or count it as lost. Raises WriterDeadError, RecordingOffError."""
+    def write(self, records: Sequence[Record], gaps: Sequence[Gap] = (), snapshot: Snapshot | None = None) -> None:
+        """Write a batch or count it as lost. `snapshot`: the state in front of it, with which a segment best begins.
+
+        Raises WriterDeadError, RecordingOffError.
+        """
         self._gaps += gaps
-        if not self._room() or self._rotation_is_due():
+        if not self._room() or self._rotation_is_due(snapshot):
             self._close_segment()
         self.open()
         if self._segment is None:
             self._lose(records, self._error or "no segment")
         else:
             before = self._segment.size() or 0
+            if snapshot is not None:
+                self._segment.keep(snapshot)
+                self._snapshot_ns = time.monotonic_ns()
             self._write(self._segment, records)
             self._segment.flush()
             self._largest_batch = max(self._largest_batch, (self._segment.size() or 0) - before)
@@ -199,14 +206,20 @@ class SessionWriter:
         else:
             self._gaps = []
 
-    def _rotation_is_due(self) -> bool:
-        """Whether the open segment is too old, or might grow too big with the next batch."""
+    def _rotation_is_due(self, snapshot: Snapshot | None) -> bool:
+        """Whether the open segment might grow too big with the next batch, or is too old.
+
+        One that is only old waits for the next snapshot, so that the one after it begins with it, if they do come.
+        """
         if self._segment is None:
             return False
         size = self._segment.size()
         age_s = (time.monotonic_ns() - self._opened_ns) * 1e-9
         full = size is None or (self._segment.batches > 0 and size + self._largest_batch > self._segment_bytes)
-        return full or age_s >= self._limits.segment_seconds
+        if full or age_s < self._limits.segment_seconds:
+            return full
+        come = time.monotonic_ns() - self._snapshot_ns < 2 * SNAPSHOT_PERIOD_NS
+        return snapshot is not None or not come
 
     def _close_segment(self, *, final: bool = False) -> None:
         if self._segment is None:

@@ -5,8 +5,10 @@ reported in words: cycle, motor, field and both values, decoded by the driver th
 
 How this works
 --------------
-The core is run from cycle 0 to the first cycle that is missing; beyond that its state is not known. Only a session
-all of which is provably there (see `replay.sessions.reader`) can be called identical.
+The core is run from cycle 0 to the first cycle that is missing; beyond that its state is not known until the next
+snapshot of it, every five seconds in the recording, from where it is run on. So a single segment is compared as well,
+and what is left of a session whose beginning was deleted; recorded cycles that could not be compared are counted in
+`unseen`. Only a session all of which is provably there (see `replay.sessions.reader`) can be called identical.
 
 | what was compared | the recording is complete | it is not |
 |---|---|---|
@@ -20,11 +22,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from drivers.contract import CanFrame, DecodedFrame
+from drivers.contract import CanFrame
 from gateway.config import parse
-from gateway.core.assembly import Robot, build
 from gateway.core.engine import Engine
+from gateway.core.frame_words import FrameWords, fields, raw
 from gateway.types import Inputs, Outputs
+from replay.compare.replay import Replay
 from replay.sessions.reader import RecordedOutputs, Session
 from replay.sessions.software import change
 
@@ -47,7 +50,8 @@ class Verdict(NamedTuple):
     """What verify found.
 
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
-    otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared.
+    otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
+    those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
     `software_change`: only where something differs, what of the software is not what it was.
     """
 
@@ -55,9 +59,11 @@ class Verdict(NamedTuple):
     complete: bool
     cycles: int
     frames: int
+    unseen: int
     realtime_ratio: float
     first_difference: Difference | None
     problem: str | None
+    refused: str | None
     exit_code: int
     software_change: str | None = None
 
@@ -77,9 +83,11 @@ def not_replayable(problem: str) -> Verdict:
         complete=False,
         cycles=0,
         frames=0,
+        unseen=0,
         realtime_ratio=0.0,
         first_difference=None,
         problem=problem,
+        refused=None,
         exit_code=EXIT_NOT_REPLAYABLE,
     )
 
@@ -90,24 +98,21 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
     Raises ConfigError if this version of the software refuses the recorded robot file.
     """
     config = parse(session.config_text, "robot file of the session")
-    engine, robot = Engine(config), build(config)
+    replay, words = Replay(config, session), FrameWords(config)
     started_ns = time.perf_counter_ns()
     cycles = frames = 0
-    first_ns = last_ns = None
     difference = None
-    for inputs, recorded in session.cycles():
-        if inputs.cycle != cycles:
-            break
-        difference = _step(engine, robot, inputs, recorded)
-        cycles += 1
-        frames += len(recorded.frames)
-        first_ns, last_ns = first_ns or inputs.now_ns, inputs.now_ns
+    for done, (inputs, recorded) in enumerate(session.cycles(), start=1):
+        engine = replay.engine(inputs)
+        if engine is not None:
+            difference = _step(engine, words, inputs, recorded)
+            cycles += 1
+            frames += len(recorded.frames)
         if difference is not None:
             break
-        if progress is not None and cycles % PROGRESS_CYCLES == 0:
+        if progress is not None and done % PROGRESS_CYCLES == 0:
             progress(PROGRESS_CYCLES)
     elapsed_ns = max(time.perf_counter_ns() - started_ns, 1)
-    covered_ns = (last_ns or 0) - (first_ns or 0)
     problem = session.problem or (None if cycles else "the session holds no cycles")
     exit_code = _exit_code(difference, cycles, complete=problem is None, pruned=session.pruned)
     return Verdict(
@@ -115,9 +120,11 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
         complete=problem is None,
         cycles=cycles,
         frames=frames,
-        realtime_ratio=covered_ns / elapsed_ns,
+        unseen=replay.unseen,
+        realtime_ratio=replay.covered_ns / elapsed_ns,
         first_difference=difference,
         problem=problem,
+        refused=replay.refused,
         exit_code=exit_code,
         software_change=None if difference is None else change(session.header),
     )
@@ -131,13 +138,13 @@ def _exit_code(difference: Difference | None, cycles: int, *, complete: bool, pr
     return EXIT_INCOMPLETE if cycles or pruned else EXIT_NOT_REPLAYABLE
 
 
-def _step(engine: Engine, robot: Robot, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:
+def _step(engine: Engine, words: FrameWords, inputs: Inputs, recorded: RecordedOutputs) -> Difference | None:
     """One cycle; a core that breaks on what it once answered, as it may on damaged inputs, answers differently."""
     try:
         outputs = engine.step(inputs)
     except _CRASHES as error:
         return Difference(inputs.cycle, None, "answer", f"{len(recorded.frames)} frames", f"exception {error!r}")
-    return None if _same(outputs, recorded) else _difference(inputs.cycle, robot, outputs, recorded)
+    return None if _same(outputs, recorded) else _difference(inputs.cycle, words, outputs, recorded)
 
 
 def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
@@ -150,10 +157,10 @@ def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
     )
 
 
-def _difference(cycle: int, robot: Robot, outputs: Outputs, recorded: RecordedOutputs) -> Difference:
+def _difference(cycle: int, words: FrameWords, outputs: Outputs, recorded: RecordedOutputs) -> Difference:
     """The first thing that differs, frames before words: they are what moves the robot."""
     if outputs.frames != recorded.frames:
-        return _frame_difference(cycle, robot, recorded.frames, outputs.frames)
+        return _frame_difference(cycle, words, recorded.frames, outputs.frames)
     for field in ("mode", "odometry", "events", "replies"):
         before, after = getattr(recorded, field), getattr(outputs, field)
         if before != after:
@@ -163,41 +170,30 @@ def _difference(cycle: int, robot: Robot, outputs: Outputs, recorded: RecordedOu
 
 
 def _frame_difference(
-    cycle: int, robot: Robot, recorded: Sequence[CanFrame], replayed: Sequence[CanFrame]
+    cycle: int, words: FrameWords, recorded: Sequence[CanFrame], replayed: Sequence[CanFrame]
 ) -> Difference:
     for before, after in zip(recorded, replayed, strict=False):
         if before != after:
-            return _field_difference(cycle, robot, before, after)
+            return _field_difference(cycle, words, before, after)
     if len(recorded) > len(replayed):
         frame = recorded[len(replayed)]
-        return Difference(cycle, _words(robot, frame)[0], "frame", _words(robot, frame)[1], "no such frame")
+        return Difference(cycle, _words(words, frame)[0], "frame", _words(words, frame)[1], "no such frame")
     frame = replayed[len(recorded)]
-    return Difference(cycle, _words(robot, frame)[0], "frame", "no such frame", _words(robot, frame)[1])
+    return Difference(cycle, _words(words, frame)[0], "frame", "no such frame", _words(words, frame)[1])
 
 
-def _field_difference(cycle: int, robot: Robot, before: CanFrame, after: CanFrame) -> Difference:
-    one, other = _decode(robot, before), _decode(robot, after)
+def _field_difference(cycle: int, words: FrameWords, before: CanFrame, after: CanFrame) -> Difference:
+    one, other = words.decode(before), words.decode(after)
     if one is not None and other is not None and one[:2] == other[:2]:
         owners = one.owners or (one.motor,) * len(one.fields)
         for motor, (field, value), (_, changed) in zip(owners, one.fields, other.fields, strict=True):
             if value != changed:
                 return Difference(cycle, motor, f"{one.message}.{field}", str(value), str(changed))
-    return Difference(cycle, _words(robot, before)[0], "frame", _words(robot, before)[1], _words(robot, after)[1])
+    return Difference(cycle, _words(words, before)[0], "frame", _words(words, before)[1], _words(words, after)[1])
 
 
-def _decode(robot: Robot, frame: CanFrame) -> DecodedFrame | None:
-    for group in robot.groups:
-        if group.bus == frame.bus:
-            decoded = group.driver.decode(frame)
-            if decoded is not None:
-                return decoded
-    return None
-
-
-def _words(robot: Robot, frame: CanFrame) -> tuple[str | None, str]:
-    raw = f"{frame.bus} {frame.id:0{8 if frame.extended else 3}X}#{frame.data.hex().upper()}"
-    decoded = _decode(robot, frame)
+def _words(words: FrameWords, frame: CanFrame) -> tuple[str | None, str]:
+    decoded = words.decode(frame)
     if decoded is None:
-        return None, raw
-    values = " ".join(f"{name}={value:g}" for name, value in decoded.fields)
-    return decoded.motor, f"{decoded.message} {values} ({raw})"
+        return None, raw(frame)
+    return decoded.motor, f"{fields(decoded)} ({raw(frame)})"

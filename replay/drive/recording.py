@@ -1,9 +1,11 @@
 """Records a drive in virtual time with the recorder's own writer and the stamps of the virtual clock."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from gateway.config import RobotConfig
-from gateway.recording.packets import Hello, Record
+from gateway.core.snapshot import State
+from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Hello, Record, Snapshot
 from gateway.recording.recorder import RecorderError
 from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Inputs, Outputs
@@ -26,6 +28,8 @@ class SessionRecording:
         self._wall_minus_mono_ns = started_wall_ns - FIRST_NS
         self._now_ns = FIRST_NS
         self._waiting: list[Record] = []
+        self._snapshot: Snapshot | None = None
+        self._snapshot_due_ns = 0
         self._writer = self._begin()
 
     @property
@@ -33,13 +37,16 @@ class SessionRecording:
         """Folder of the session being written."""
         return self._writer.folder
 
-    def put(self, inputs: Inputs, outputs: Outputs) -> None:
-        """One cycle; no time was spent on it."""
+    def put(self, inputs: Inputs, outputs: Outputs, state: Callable[[], State]) -> None:
+        """One cycle; no time was spent on it. `state`: of the core behind it."""
         self._now_ns = inputs.now_ns
         timing = CycleTiming(late_ns=0, work_ns=0, wall_ns=inputs.now_ns + self._wall_minus_mono_ns)
         self._waiting.append(Record(inputs, outputs, timing))
         if len(self._waiting) >= BATCH:
             self._write()
+            if inputs.now_ns >= self._snapshot_due_ns:
+                self._snapshot_due_ns = inputs.now_ns + SNAPSHOT_PERIOD_NS
+                self._snapshot = Snapshot.of(inputs.cycle, state())
 
     def restart(self) -> None:
         """The process that follows records a session of its own."""
@@ -49,6 +56,7 @@ class SessionRecording:
     def close(self) -> None:
         """Everything on the disk, with a footer. Raises RecorderError if it is not."""
         self._write()
+        self._snapshot = None
         self._writer.close()
         report = self._writer.report()
         if report.lost:
@@ -67,5 +75,5 @@ class SessionRecording:
 
     def _write(self) -> None:
         if self._waiting:
-            self._writer.write(self._waiting)
-            self._waiting = []
+            self._writer.write(self._waiting, (), self._snapshot)
+            self._waiting, self._snapshot = [], None

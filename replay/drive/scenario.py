@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 from gateway import robot_files
 from gateway.config import RobotConfig, load
+from gateway.core.snapshot import State
 from gateway.types import Event, Inputs, Mode, Outputs, Request, RequestKind, Twist
 from replay.drive import faults
 from replay.drive.closed_loop import ClosedLoop
@@ -33,7 +34,7 @@ Watch = Callable[[Moment], None]
 class Recording(Protocol):
     """Takes every cycle of the drive; a restarted process begins a session of its own."""
 
-    def put(self, inputs: Inputs, outputs: Outputs) -> None: ...
+    def put(self, inputs: Inputs, outputs: Outputs, state: Callable[[], State]) -> None: ...
 
     def restart(self) -> None: ...
 
@@ -134,7 +135,7 @@ class _Drive:
         for expectation in self._expectations:
             expectation.watch(moment)
         if self._recording is not None:
-            self._recording.put(inputs, outputs)
+            self._recording.put(inputs, outputs, self._loop.engine.snapshot)
         if self._watch is not None:
             self._watch(moment)
         return outputs.finished

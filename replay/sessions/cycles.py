@@ -1,13 +1,12 @@
-"""From the columns of one segment to cycles: ordered, counted, and turned into the values they were.
+"""From the blocks of one segment to cycles: checked, ordered, and turned into the values they were.
 
 How this works
 --------------
-The rows of every entity are put in the order of cycle and index (Rerun promises none) and matched with the counts of
-the cycle rows. A cycle whose rows are not all there was not recorded whole and is left out. Only then, a window of
-cycles at a time, columns become Python values.
+Blocks are unpacked at once, which is cheap: a column is an array. Every cycle whose check does not fit its values is
+left out and named. Only then, a window of cycles at a time, columns become Python values.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise, repeat
 from typing import Any, NamedTuple
 
@@ -15,25 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.contract import CanFrame
-from gateway.recording.schema import (
-    CAN_COLUMNS,
-    CYCLE,
-    INDEX,
-    INPUT_COUNTS,
-    INPUT_CYCLE,
-    INPUTS,
-    OUTPUT_COUNTS,
-    OUTPUT_CYCLE,
-    OUTPUTS,
-    Entity,
-    Kind,
-)
+from gateway.recording.block import DAMAGED, Block, unpacked
+from gateway.recording.packets import Gap
+from gateway.recording.schema import BLOCK_COLUMNS, BLOCK_PATH, COUNTERS, CYCLE, INPUTS, OUTPUTS, Kind, Table
 from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
+from replay.sessions.tables import Columns, Layout, Tables
+
+WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
+SPOILT = "not as it was written"
+LAYOUT: Layout = {BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS}}
 
 Integers = npt.NDArray[np.int64]
-Column = Any  # an Arrow array, one list cell per row
-Columns = Mapping[str, Column]  # of one entity, by name
-
 _MODES = {mode.value: mode for mode in Mode}
 
 
@@ -52,155 +43,105 @@ class RecordedOutputs(NamedTuple):
         return cls(outputs.frames, outputs.mode, outputs.events, outputs.replies, outputs.odometry)
 
 
-class CycleRows:
-    """The cycles of a segment that were recorded whole, from its columns by entity path.
+Cycle = tuple[Inputs, RecordedOutputs]
 
-    Raises KeyError, IndexError, OverflowError, TypeError or ValueError, here and in `window`, on damaged columns.
+
+class Window(NamedTuple):
+    """Some cycles, whose values are made when they are asked for."""
+
+    first_cycle: int
+    values: Callable[[], Iterable[Cycle]]
+
+
+class _Run(NamedTuple):
+    """Cycles of a block next to each other, all of them whole or none."""
+
+    block: Block
+    start: int
+    end: int
+    whole: bool
+
+    @property
+    def cycle(self) -> Integers:
+        return self.block.cycles.numbers("cycle")[self.start : self.end]
+
+
+class CycleRows:
+    """The cycles of a segment that are as they were written, from its columns by entity path.
+
+    `damaged`: those that are not. A window raises KeyError, TypeError or ValueError where values are of no known kind.
     """
 
-    def __init__(self, tables: Mapping[str, Columns]) -> None:
-        inputs = _Rows(INPUT_CYCLE, tables.get(INPUT_CYCLE.path))
-        outputs = _Rows(OUTPUT_CYCLE, tables.get(OUTPUT_CYCLE.path))
-        cycle, at_inputs, at_outputs = np.intersect1d(inputs.cycle, outputs.cycle, return_indices=True)
-        self._groups: list[_Group] = []
-        whole = np.ones(len(cycle), bool)
-        for entities, names, rows, places in (
-            (INPUTS, INPUT_COUNTS, inputs, at_inputs),
-            (OUTPUTS, OUTPUT_COUNTS, outputs, at_outputs),
-        ):
-            for entity, name in zip(entities, names, strict=True):
-                group = _Group(_Rows(entity, tables.get(entity.path)), cycle)
-                whole &= group.ends - group.starts == rows.numbers(name)[places]
-                self._groups.append(group)
-        for group in self._groups:
-            group.keep(whole)
-        self.cycle: Integers = cycle[whole]
-        counters = ("now_ns", "overruns", "dropped_records")
-        self._inputs = [inputs.numbers(name)[at_inputs[whole]] for name in counters]
-        self._mode = outputs.texts("mode", at_outputs[whole])
+    def __init__(self, tables: Tables) -> None:
+        self.damaged: list[Gap] = []
+        runs = [run for block in self._blocks(tables.get(BLOCK_PATH)) for run in _runs(block)]
+        self._runs = sorted((run for run in runs if run.whole), key=lambda run: int(run.cycle[0]))
+        self.cycle: Integers = np.concatenate([np.empty(0, np.int64), *(run.cycle for run in self._runs)])
+        spoilt = [run.cycle for run in runs if not run.whole]
+        self.damaged += [Gap(int(cycle.min()), int(cycle.max()), SPOILT) for cycle in spoilt]
 
-    def window(self, start: int, end: int) -> Iterator[tuple[Inputs, RecordedOutputs]]:
-        """The cycles of these places."""
-        groups = [group.window(start, end) for group in self._groups]
-        now, overruns, dropped = (column[start:end].tolist() for column in self._inputs)
-        inputs = map(Inputs, self.cycle[start:end].tolist(), now, *groups[: len(INPUTS)], overruns, dropped)
-        frames, events, replies, odometry = groups[len(INPUTS) :]
-        modes = [_MODES[text] for text in self._mode[start:end]]
-        due = [values[0] if values else None for values in odometry]
-        return zip(inputs, map(RecordedOutputs, frames, modes, events, replies, due), strict=True)
-
-
-class _Rows:
-    """All rows of one entity in a segment, in the order of cycle and index, each once."""
-
-    def __init__(self, entity: Entity, columns: Columns | None) -> None:
-        self._entity = entity
-        self._columns: Columns = {}
-        self.cycle: Integers = np.empty(0, np.int64)
+    def _blocks(self, columns: Columns | None) -> Iterator[Block]:
         if columns is None:
             return
-        self._columns = {name: columns[name] for name in entity.columns}
-        self.cycle = columns[CYCLE].to_numpy()
-        self._put_in_order(columns[INDEX].flatten().to_numpy().astype(np.int64))
+        rows = (columns[CYCLE], columns["count"].flatten(), columns["block"].flatten())
+        for first, count, block in zip(*(row.to_pylist() for row in rows), strict=True):
+            try:
+                yield unpacked(block)
+            except DAMAGED:
+                self.damaged.append(Gap(first, first + count - 1, SPOILT))
 
-    def values(self, start: int, end: int) -> tuple[Any, ...]:
-        """Rows as the values they were."""
-        columns = [
-            _LISTS[kind](self._columns[name].slice(start, end - start)) for name, kind in self._entity.columns.items()
-        ]
-        if self._entity.columns is CAN_COLUMNS:  # by far the most rows: made without a call of Python each
-            return tuple(map(tuple.__new__, repeat(CanFrame), zip(*columns, strict=True)))
-        return tuple(map(self._entity.value, zip(*columns, strict=True)))
-
-    def numbers(self, name: str) -> Integers:
-        """One integer column whole."""
-        column = self._columns.get(name)
-        return self.cycle if column is None else np.asarray(column.flatten(), np.int64)
-
-    def texts(self, name: str, places: Integers) -> list[str]:
-        """One text column at these places."""
-        column = self._columns.get(name)
-        return [] if column is None else _texts(column.take(places))
-
-    def _put_in_order(self, index: Integers) -> None:
-        steps = np.diff(self.cycle)
-        if bool(np.all((steps > 0) | ((steps == 0) & (np.diff(index) > 0)))):
-            return
-        order = np.lexsort((index, self.cycle))
-        keys = np.column_stack((self.cycle[order], index[order]))
-        order = order[np.append([True], np.any(np.diff(keys, axis=0) != 0, axis=1))]
-        self.cycle = self.cycle[order]
-        self._columns = {name: column.take(order) for name, column in self._columns.items()}
+    def windows(self) -> Iterator[Window]:
+        """All of the cycles, some at a time."""
+        for run in self._runs:
+            for start in range(run.start, run.end, WINDOW):
+                yield _window(run.block, start, min(start + WINDOW, run.end))
 
 
-class _Group:
-    """The rows of one entity by cycle: where those of each cycle begin and end."""
-
-    def __init__(self, rows: _Rows, cycle: Integers) -> None:
-        self._rows = rows
-        self.starts: Integers = np.searchsorted(rows.cycle, cycle, side="left")
-        self.ends: Integers = np.searchsorted(rows.cycle, cycle, side="right")
-
-    def keep(self, whole: npt.NDArray[np.bool_]) -> None:
-        """Forget the cycles that are not whole."""
-        self.starts, self.ends = self.starts[whole], self.ends[whole]
-
-    def window(self, start: int, end: int) -> list[tuple[Any, ...]]:
-        """One tuple of values per cycle."""
-        starts, ends = self.starts[start:end], self.ends[start:end]
-        if starts[0] == ends[-1]:
-            return [()] * len(starts)
-        first = int(starts[0])
-        values = self._rows.values(first, int(ends[-1]))
-        places = zip((starts - first).tolist(), (ends - first).tolist(), strict=True)
-        return [values[a:b] for a, b in places]
+def count(tables: Tables) -> int:
+    """How many cycles there are, the damaged ones among them."""
+    columns = tables.get(BLOCK_PATH)
+    return 0 if columns is None else int(sum(columns["count"].flatten().to_pylist()))
 
 
-def _numbers(column: Column) -> list[Any]:
-    numbers: list[Any] = column.flatten().to_numpy(zero_copy_only=False).tolist()
-    return numbers
+def _runs(block: Block) -> Iterator[_Run]:
+    borders = (np.flatnonzero(np.diff(block.whole)) + 1).tolist()
+    for start, end in pairwise([0, *borders, len(block.whole)]):
+        if start < end:
+            yield _Run(block, start, end, bool(block.whole[start]))
 
 
-def _texts(column: Column) -> list[Any]:
-    """Few different texts, many rows."""
-    coded = column.flatten().dictionary_encode()
-    words = coded.dictionary.to_pylist()
-    return [words[place] for place in coded.indices.to_numpy().tolist()]
+def _window(block: Block, start: int, end: int) -> Window:
+    return Window(int(block.cycles.numbers("cycle")[start]), lambda: _values(block, start, end))
 
 
-def _binaries(column: Column) -> list[Any]:
-    values = column.flatten()
-    _, places, data = values.buffers()
-    if data is None:
-        return [b""] * len(values)
-    offsets = np.frombuffer(places, np.int32)[values.offset : values.offset + len(values) + 1]
-    first, last = int(offsets[0]), int(offsets[-1])
-    flat = memoryview(data)[first:last].tobytes()
-    return [flat[a:b] for a, b in pairwise((offsets - first).tolist())]
+def _values(block: Block, start: int, end: int) -> Iterator[Cycle]:
+    head = block.cycles
+    cycle, now, overruns, dropped = (head.column(name, Kind.INT, start, end) for name in COUNTERS[:4])
+    modes = map(_MODES.__getitem__, head.column("mode", Kind.TEXT, start, end))
+    inputs = (_groups(block, table, start, end) for table in INPUTS)
+    frames, events, replies, odometry = (_groups(block, table, start, end) for table in OUTPUTS)
+    due = [values[0] if values else None for values in odometry]
+    new = tuple.__new__  # not the call of Python that a named tuple makes of itself
+    asked = map(new, repeat(Inputs), zip(cycle, now, *inputs, overruns, dropped, strict=True))
+    return zip(
+        asked, map(new, repeat(RecordedOutputs), zip(frames, modes, events, replies, due, strict=True)), strict=True
+    )
 
 
-def _maybe(read: Callable[[Column], list[Any]]) -> Callable[[Column], list[Any]]:
-    """Cells with a value or without."""
-
-    def values(column: Column) -> list[Any]:
-        there = column.value_lengths().to_numpy() > 0
-        if not there.any():
-            return [None] * len(column)
-        present = iter(read(column))
-        return [next(present) if here else None for here in there.tolist()] if not there.all() else list(present)
-
-    return values
-
-
-_LISTS: dict[Kind, Callable[[Column], list[Any]]] = {
-    Kind.INT: _numbers,
-    Kind.ID: _numbers,
-    Kind.FLOAT: _numbers,
-    Kind.BOOL: _numbers,
-    Kind.TEXT: _texts,
-    Kind.BINARY: _binaries,
-    Kind.FLOATS: lambda column: column.to_pylist(),
-    Kind.MAYBE_INT: _maybe(_numbers),
-    Kind.MAYBE_FLOAT: _maybe(_numbers),
-    Kind.MAYBE_TEXT: _maybe(_texts),
-}
+def _groups(block: Block, table: Table, start: int, end: int) -> list[tuple[Any, ...]]:
+    """One tuple of values per cycle."""
+    columns = block.tables[table.name]
+    counts, ends = columns.counts[start:end], columns.ends[start:end]
+    first, last = int(ends[0] - counts[0]), int(ends[-1])
+    groups: list[tuple[Any, ...]] = [()] * (end - start)
+    if first == last:
+        return groups
+    values = columns.values(table, first, last)
+    if last - first >= len(groups):
+        return [values[a:b] for a, b in pairwise([0, *(ends - first).tolist()])]
+    there = np.flatnonzero(counts)
+    for place, a, b in zip(
+        there.tolist(), *((ends - less)[there].tolist() for less in (first + counts, first)), strict=True
+    ):
+        groups[place] = values[a:b]
+    return groups

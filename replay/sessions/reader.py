@@ -9,10 +9,11 @@ one sealed as final. Recordings from before there were seals are taken at the wo
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -21,55 +22,51 @@ import pyarrow as pa
 from gateway.recording.disk import segment_number, segments
 from gateway.recording.packets import Gap
 from gateway.recording.schema import (
-    CYCLE,
     GAP_COLUMNS,
     GAP_PATH,
     HEADER_COLUMNS,
     HEADER_PATH,
-    INDEX,
-    INPUT_CYCLE,
-    INPUTS,
-    OUTPUT_CYCLE,
-    OUTPUTS,
     SCHEMA_VERSION,
     SEAL_COLUMNS,
     SEAL_PATH,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
     Header,
-    Kind,
 )
-from gateway.types import Inputs
-from replay.sessions.cycles import Column, Columns, CycleRows, Integers, RecordedOutputs
+from replay.sessions import cycles, version_1
+from replay.sessions.cycles import Cycle, Integers, RecordedOutputs, Window
 from replay.sessions.framing import Found, checksum, read
+from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
 __all__ = ["RecordedOutputs", "Session", "SessionError", "open_session"]
 
-WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
-_LAYOUT: Mapping[str, Mapping[str, Kind]] = {
-    **{entity.path: {**entity.columns, INDEX: Kind.ID} for entity in (*INPUTS, *OUTPUTS, INPUT_CYCLE, OUTPUT_CYCLE)},
+_MARKS: Layout = {
     GAP_PATH: GAP_COLUMNS,
     HEADER_PATH: HEADER_COLUMNS,
     SEAL_PATH: SEAL_COLUMNS,
-}
-_STATIC = (HEADER_COLUMNS, SEAL_COLUMNS)
+    SNAPSHOT_PATH: SNAPSHOT_COLUMNS,
+}  # in every version
 PROBLEMS_SHOWN = 3
 UNMARKED = "not in the recording"
 PRUNED = "deleted to make room"
-_MAYBE = {Kind.MAYBE_INT, Kind.MAYBE_FLOAT, Kind.MAYBE_TEXT}
-_TYPES = {
-    Kind.INT: pa.int64(),
-    Kind.ID: pa.uint32(),
-    Kind.FLOAT: pa.float64(),
-    Kind.BOOL: pa.bool_(),
-    Kind.TEXT: pa.string(),
-    Kind.BINARY: pa.binary(),
-    Kind.FLOATS: pa.float64(),
-    Kind.MAYBE_INT: pa.int64(),
-    Kind.MAYBE_FLOAT: pa.float64(),
-    Kind.MAYBE_TEXT: pa.string(),
-}
 _DAMAGED = (KeyError, IndexError, OverflowError, TypeError, ValueError, pa.ArrowException)
 
-Tables = dict[str, Columns]  # by entity path
+
+Rows = cycles.CycleRows | version_1.CycleRows
+
+
+class _Version(NamedTuple):
+    """How cycles lie in the segments of a schema version."""
+
+    layout: Layout
+    rows: Callable[[Tables], Rows]
+    count: Callable[[Tables], int]
+
+
+_VERSIONS = {
+    1: _Version(version_1.LAYOUT, version_1.CycleRows, version_1.count),
+    SCHEMA_VERSION: _Version(cycles.LAYOUT, cycles.CycleRows, cycles.count),
+}
 
 
 class SessionError(Exception):
@@ -103,7 +100,10 @@ class Session:
         self.path = path
         self.segments = tuple(files)
         self.header = header
+        self._version = _VERSIONS[header.schema_version]
+        self._layout = {**_MARKS, **self._version.layout}
         self._parts: dict[Path, _Part] = {}
+        self._snapshots: dict[int, bytes] = {}
 
     @property
     def config_text(self) -> str:
@@ -114,7 +114,7 @@ class Session:
     def cycle_count(self) -> int:
         """How many cycles there are to read, give or take the incomplete ones of a damaged segment."""
         counts = (
-            len(self._parts[segment].cycles) if segment in self._parts else _row_count(segment, OUTPUT_CYCLE.path)
+            len(self._parts[segment].cycles) if segment in self._parts else _count(segment, self._version)
             for segment in self.segments
         )
         return sum(counts)
@@ -160,22 +160,32 @@ class Session:
         seal = self._parts[self.segments[-1]].seal
         return tuple(_gaps(cycles, markers, seal.last_cycle if seal is not None else None))
 
-    def cycles(self) -> Iterator[tuple[Inputs, RecordedOutputs]]:
+    def cycles(self) -> Iterator[Cycle]:
         """Every recorded cycle in order, none twice."""
         last = -1
         for path in self.segments:
-            rows = self._load(path)
-            for start in range(0, len(rows.cycle), WINDOW):
-                for inputs, outputs in self._window(rows, start, path):
+            for window in self._load(path).windows():
+                for inputs, outputs in self._values(window, path):
                     if inputs.cycle > last:
                         last = inputs.cycle
                         yield inputs, outputs
 
-    def _window(self, rows: CycleRows, start: int, path: Path) -> list[tuple[Inputs, RecordedOutputs]]:
+    def snapshot(self, cycle: int) -> dict[str, Any] | None:
+        """The state of the core after this cycle, if it was recorded there and that segment has been read."""
+        packed = self._snapshots.get(cycle)
+        if packed is None:
+            return None
         try:
-            return list(rows.window(start, start + WINDOW))
+            state: dict[str, Any] = msgspec.msgpack.decode(packed, type=dict)
+        except ValueError:
+            return None
+        return state
+
+    def _values(self, window: Window, path: Path) -> list[Cycle]:
+        try:
+            return list(window.values())
         except _DAMAGED as error:
-            self._parts[path].problems.append(f"it is damaged near cycle {rows.cycle[start]}: {error!r}")
+            self._parts[path].problems.append(f"it is damaged near cycle {window.first_cycle}: {error!r}")
             return []
 
     def _all_parts(self) -> Mapping[Path, _Part]:
@@ -197,11 +207,11 @@ class Session:
             if number > before + 1
         ]
 
-    def _load(self, path: Path) -> CycleRows:
+    def _load(self, path: Path) -> Rows:
         """Read a segment; what cannot be read of it is a problem of the session."""
-        nothing = CycleRows({})
+        nothing = self._version.rows({})
         try:
-            found = read(path, _LAYOUT)
+            found = read(path, self._layout)
             rows, part = self._examined(path, found)
         except SessionError as error:
             rows, part = nothing, _Part(nothing.cycle, [], [str(error).removeprefix(f"{path}: ")])
@@ -213,9 +223,9 @@ class Session:
             self._parts[path] = part
         return rows
 
-    def _examined(self, path: Path, found: Found) -> tuple[CycleRows, _Part]:
+    def _examined(self, path: Path, found: Found) -> tuple[Rows, _Part]:
         """Raises one of _DAMAGED, OSError, SessionError."""
-        tables, intact = _tables(found)
+        tables, intact = tables_of(found, self._layout)
         problems = [found.problem] if found.problem else []
         if not intact and not problems:
             problems.append("it is damaged")
@@ -228,9 +238,14 @@ class Session:
             problems.append(f"it is segment {header.segment} by its header")
         if self.header.sealed and not problems:
             problems += _seal_problems(path, seal, found)
-        rows = CycleRows(tables)
+        rows = self._version.rows(tables)
+        snapshots, whole = _snapshots(tables.get(SNAPSHOT_PATH))
+        self._snapshots |= snapshots
+        if not whole:
+            problems.append("a snapshot of the core is not as it was written")
+        markers = [*_markers(tables.get(GAP_PATH)), *rows.damaged]
         first = max(header.first_segment if header else 1, seal.first_segment if seal else 1)
-        return rows, _Part(rows.cycle, _markers(tables.get(GAP_PATH)), problems, first, seal)
+        return rows, _Part(rows.cycle, markers, problems, first, seal)
 
 
 def open_session(path: Path) -> Session:
@@ -262,7 +277,7 @@ def _headers(files: Sequence[Path]) -> tuple[list[Header], list[SessionError]]:
 
 
 def _header(path: Path) -> Header | None:
-    return _header_in(path, _read(path, [HEADER_PATH], first_only=True))
+    return _header_in(path, _read(path, {HEADER_PATH: HEADER_COLUMNS}, first_only=True))
 
 
 def _header_in(path: Path, tables: Tables) -> Header | None:
@@ -271,10 +286,9 @@ def _header_in(path: Path, tables: Tables) -> Header | None:
         return None
     try:
         version, text = (columns[name].flatten()[0].as_py() for name in ("schema_version", "json"))
-        if version != SCHEMA_VERSION:
-            raise SessionError(
-                f"{path}: has session schema {version}; this version of DriveGate reads {SCHEMA_VERSION}"
-            )
+        if version not in _VERSIONS:
+            known = " and ".join(map(str, _VERSIONS))
+            raise SessionError(f"{path}: has session schema {version}; this version of DriveGate reads {known}")
         header = msgspec.json.decode(text, type=Header)
     except _DAMAGED as error:
         raise SessionError(f"{path}: damaged header: {error!r}") from None
@@ -301,69 +315,22 @@ def _seal_problems(path: Path, seal: _Seal | None, found: Found) -> list[str]:
     return []
 
 
-def _row_count(path: Path, entity: str) -> int:
+def _count(path: Path, version: _Version) -> int:
     try:
-        columns = _read(path, [entity]).get(entity)
+        return version.count(_read(path, version.layout))
     except SessionError:
         return 0
-    return 0 if columns is None else len(columns[CYCLE])
 
 
-def _read(path: Path, entities: Collection[str], *, first_only: bool = False) -> Tables:
+def _read(path: Path, layout: Layout, *, first_only: bool = False) -> Tables:
     """Columns of these entities of a segment. Raises SessionError."""
     try:
-        found = read(path, entities, first_only=first_only)
+        found = read(path, layout, first_only=first_only)
     except OSError as error:
         raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise SessionError(f"{path}: {error}") from None
-    return _tables(found)[0]
-
-
-def _tables(found: Found) -> tuple[Tables, bool]:
-    """Columns by entity, and whether every batch was as the recorder writes it."""
-    tables: Tables = {}
-    intact = True
-    for entity, batches in found.batches.items():
-        columns = _joined(batches, _LAYOUT[entity])
-        if columns is None:  # at least one batch is not as it was written: look at each of them
-            intact = False
-            columns = _joined([batch for batch in batches if _joined([batch], _LAYOUT[entity])], _LAYOUT[entity])
-        if columns is not None:
-            tables[entity] = columns
-    return tables, intact
-
-
-def _joined(batches: Sequence[pa.RecordBatch], layout: Mapping[str, Kind]) -> Columns | None:
-    """The columns by their own names, without the archetype in front; None if they are not as they were written."""
-    wanted = {name: pa.list_(_TYPES[kind]) for name, kind in layout.items()}
-    if not any(layout is static for static in _STATIC):
-        wanted[CYCLE] = pa.int64()
-    parts: dict[str, list[pa.Array]] = {name: [] for name in wanted}
-    for batch in batches:
-        for place, field in enumerate(batch.schema):
-            name = field.name.rpartition(":")[2]
-            if wanted.get(name) == field.type:
-                parts[name].append(batch.column(place))
-    for name in _absent(parts, layout):
-        parts[name] = [pa.array([[]] * batch.num_rows, wanted[name]) for batch in batches]
-    if not batches or any(len(found) != len(batches) for found in parts.values()):
-        return None
-    columns = {name: pa.concat_arrays(found) for name, found in parts.items()}
-    return columns if all(_fits(columns[name], kind) for name, kind in layout.items()) else None
-
-
-def _absent(parts: Mapping[str, Sequence[pa.Array]], layout: Mapping[str, Kind]) -> list[str]:
-    """Columns that an older recorder did not write yet: nothing was said there."""
-    return [name for name, kind in layout.items() if kind in _MAYBE and not parts[name]]
-
-
-def _fits(column: Column, kind: Kind) -> bool:
-    """One value per row; none at all only where nothing may be said."""
-    if column.null_count or column.flatten().null_count:
-        return False
-    cells = column.value_lengths().to_numpy()
-    return kind is Kind.FLOATS or bool(np.all((cells == 1) | ((cells == 0) & (kind in _MAYBE))))
+    return tables_of(found, layout)[0]
 
 
 def _markers(columns: Columns | None) -> list[Gap]:
@@ -372,6 +339,15 @@ def _markers(columns: Columns | None) -> list[Gap]:
         return []
     values = (columns[name].flatten().to_pylist() for name in GAP_COLUMNS)
     return [Gap(*row) for row in zip(*values, strict=True)]
+
+
+def _snapshots(columns: Columns | None) -> tuple[dict[int, bytes], bool]:
+    """Those that are as they were written, and whether all are."""
+    if columns is None:
+        return {}, True
+    rows = list(zip(*(columns[name].flatten().to_pylist() for name in SNAPSHOT_COLUMNS), strict=True))
+    whole = {after: state for after, state, crc32 in rows if zlib.crc32(state) == crc32}
+    return whole, len(whole) == len(rows)
 
 
 def _gaps(cycles: Integers, markers: Sequence[Gap], last_cycle: int | None) -> Iterator[Gap]:

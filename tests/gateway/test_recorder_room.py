@@ -20,12 +20,12 @@ from tests.drives import drive
 from tests.recordings import STARTED_NS, expected, robot, robot_text, write, write_drive, writer
 from tests.world import World
 
-BUDGET, SEGMENT = 1_500_000, 500_000  # a segment of one batch has some 460 kB
+BUDGET, SEGMENT = 900_000, 300_000  # a segment of one batch has some 290 kB
 BATCH = 250
 
 
 def old_session(
-    directory: Path, robot_name: str = "moby", *, started_ns: int = STARTED_NS, size: int = 900_000
+    directory: Path, robot_name: str = "moby", *, started_ns: int = STARTED_NS, size: int = 540_000
 ) -> Path:
     folder = new_session(directory, robot_name, started_ns)
     segment_path(folder, 1).write_bytes(bytes(size))
@@ -79,7 +79,7 @@ def test_what_was_pruned_is_incomplete_and_not_different(tmp_path: Path) -> None
     world = World("moby")
     world.start()
     world.run(0.8)
-    folder = write_drive(tmp_path, world, batch=80, segment_bytes=60_000, disk_budget=1_000_000)
+    folder = write_drive(tmp_path, world, batch=80, segment_bytes=60_000, disk_budget=600_000)
     assert segments(folder)[0].name != "segment-00001.rrd"
     verdict = verify(open_session(folder))
     assert (verdict.exit_code, verdict.cycles, verdict.first_difference) == (3, 0, None)
@@ -155,7 +155,7 @@ def test_order_is_that_of_making_whatever_the_clock_says(tmp_path: Path) -> None
     segment_path(unnumbered, 1).write_bytes(bytes(900_000))
     assert second.name == "moby-19700101T000000Z"
     assert sessions(tmp_path, "moby") == [unnumbered, first, second]
-    session = writer(tmp_path, segment_bytes=500_000, disk_budget=2_500_000)
+    session = writer(tmp_path, segment_bytes=500_000, disk_budget=2_000_000)
     session.open()
     assert [folder.exists() for folder in (unnumbered, first, second)] == [False, True, True]
     session.close()

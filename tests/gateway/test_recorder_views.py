@@ -2,15 +2,18 @@
 
 from math import atan2, pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from gateway.recording.packets import Record
 from gateway.recording.shapes import CHASSIS_PATH
 from gateway.recording.writer import SessionWriter
 from tests.drives import drive
-from tests.recordings import PLENTY, hello, robot
+from tests.recordings import PLENTY, hello, robot, write_drive, writer
+from tests.world import World
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.7])
@@ -34,3 +37,43 @@ def test_the_chassis_turns_by_the_joint_angle_wherever_its_zero_is(tmp_path: Pat
     assert max(map(abs, measured.values())) > 0.1
     off = np.array([drawn[cycle] + measured[cycle] for cycle in drawn])
     assert np.abs((off + pi) % (2 * pi) - pi).max() < 1e-6
+
+
+def rows(folder: Path, entity: str, column: str) -> dict[int, list[Any]]:
+    """Cells of an entity by cycle."""
+    found: dict[int, list[Any]] = {}
+    for chunk in RrdReader(folder / "segment-00001.rrd").store().stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if "cycle" not in batch.schema.names:  # static: names and colours
+            continue
+        for cycle, cell in zip(batch.column("cycle").to_pylist(), batch.column(column).to_pylist(), strict=True):
+            found.setdefault(cycle, []).append(cell)
+    return found
+
+
+def test_plots_have_fifty_points_per_second_and_hide_no_late_cycle(tmp_path: Path) -> None:
+    records = list(drive(1000, rate=500.0))
+    late = records[333]
+    records[333] = Record(late.inputs, late.outputs, late.timing._replace(late_ns=80_000_000))
+    session = writer(tmp_path)
+    for start in range(0, 1000, 250):
+        session.write(records[start : start + 250])
+    session.close()
+    assert sorted(rows(session.folder, "/trace/pose", "Scalars:scalars")) == list(range(0, 1000, 10))
+    spent = rows(session.folder, "/trace/loop", "Scalars:scalars")
+    assert max(cell[0] for (cell,) in spent.values()) == 80.0
+    assert spent[340][0][0] == 80.0
+
+
+def test_can_is_shown_in_words_twice_a_second(tmp_path: Path) -> None:
+    world = World("omni4")
+    world.run(1.6)
+    folder = write_drive(tmp_path, world, batch=100)
+    told = rows(folder, "/trace/can/in", "TextLog:text")
+    lines = [text for cells in told.values() for (text,) in cells]
+    of_one = [line for line in lines if line.startswith("front_left ")]
+    assert len(of_one) in {3, 4}
+    assert all(line.startswith("front_left feedback angle_ticks=") and "(can0 201#" in line for line in of_one)
+    sent = [text for cells in rows(folder, "/trace/can/out", "TextLog:text").values() for (text,) in cells]
+    assert 3 <= len(sent) <= 4
+    assert all(line.startswith("command front_left.current_raw_1=") for line in sent)

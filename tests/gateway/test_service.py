@@ -10,6 +10,7 @@ from drivers.contract import CanFrame
 from gateway import service as service_module
 from gateway.config import RobotConfig, parse
 from gateway.control.limits import stopping_time
+from gateway.core.snapshot import State
 from gateway.edges.estop_latch import Kept
 from gateway.edges.signals import EndRequest
 from gateway.edges.systemd import Notifier
@@ -114,7 +115,7 @@ class FakeRecorder:
 
         self.broken = ""
 
-    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+    def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State]) -> None:
         if self.broken == "put":
             raise RuntimeError("no records any more")
         self.records.append((inputs, outputs, timing))

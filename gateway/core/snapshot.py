@@ -1,0 +1,265 @@
+"""The state of the core as plain data and back: restored at any cycle of a drive, it goes on byte for byte.
+
+How this works
+--------------
+One walk over everything the engine holds. Objects that own state are listed in OWNERS, each with those of its
+attributes that never change after construction and are left out; whatever else it has is taken, so that a new piece of
+state is covered by itself. A type that is neither listed, nor plain, nor made of plain ones is a TypeError, which every
+test that takes a snapshot finds. Restoring builds the engine from its robot file and walks over both at once: objects
+stay those that were built and get their attributes, containers are made anew, and what was one container stays one.
+
+A node is a number, a text, None, true or false; a list; or a dict of one key that says what it is: n named tuple,
+e member of an enumeration, o object, t tuple, d dict, s set, q deque, f number that is not finite, b bytes, r the
+mutable thing of this number that has been before, x as built. All of it survives JSON and msgpack.
+"""
+
+import hashlib
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from enum import Enum
+from functools import partial
+from math import isfinite
+from struct import Struct
+from types import BuiltinFunctionType, FunctionType, MethodType
+from typing import Any
+
+from gateway.config import RobotConfig
+
+Node = Any  # plain data
+State = dict[str, Node]
+
+# Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
+OWNERS: Mapping[str, frozenset[str]] = {
+    "gateway.core.engine.Engine": frozenset(
+        {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
+    ),
+    "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
+    "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
+    "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),
+    "gateway.core.odometry.WheelOdometry": frozenset({"_kinematics", "_top_speeds"}),
+    "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),
+    "gateway.core.standstill.Standstill": frozenset(),
+    "gateway.core.reporter.Reporter": frozenset({"_sources"}),
+    "gateway.core.reporter.Due": frozenset({"_period_ns"}),
+    "gateway.core.reporter._Throttle": frozenset(),
+    "gateway.core.detectors.StallDetector": frozenset({"_limits"}),
+    "gateway.core.detectors.FrozenEncoderDetector": frozenset({"_limits"}),
+    "gateway.core.detectors.RunawayDetector": frozenset({"_limits"}),
+    "gateway.core.detectors.FollowingDetector": frozenset({"_limits"}),
+    "gateway.core.detectors.ReversedDetector": frozenset(),
+    "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
+    "gateway.core.detectors.SlipDetector": frozenset(),
+    "gateway.control.limits.TwistLimiter": frozenset(
+        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
+    ),
+    "gateway.control.drive_law.SpeedLaw": frozenset({"_kinematics", "_period", "_top_speeds", "_velocity"}),
+    "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
+    "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),
+    "drivers.dji._Motor": frozenset(
+        {"braking_raw_per_rpm", "command_period_ns", "raw_limit", "raw_per_torque", "rest_rpm", "slot", "spec"}
+        | {"timeout_ns", "variant"}
+    ),
+    "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
+    "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_capabilities", "_routes"}),
+    "drivers.odrive.axis.Axis": frozenset(
+        {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "zero_frame"}
+    ),
+}
+# The parts of a robot as they were put together: of these only what owns state is walked over.
+AS_BUILT = frozenset({"gateway.core.assembly.Robot.kinematics", "gateway.core.assembly.Robot.limits"})
+_BUILT_TYPES = (FunctionType, BuiltinFunctionType, MethodType, partial, Struct)
+_KINEMATICS = "gateway.kinematics."
+_OURS = ("gateway.", "drivers.")
+_BUILT: Node = {"x": 0}
+_OTHER = "the snapshot is of another version of the software"
+
+
+class SnapshotError(ValueError):
+    """A snapshot that is not of this software and robot file; the text says why."""
+
+
+def fingerprint(config: RobotConfig) -> str:
+    """Of what the core reads of a robot file: not of where it records, listens and finds its buses."""
+    rates = (config.zenoh.odometry_rate, config.zenoh.state_rate)
+    text = config.model_dump_json(exclude={"recording", "bus", "zenoh"})
+    return hashlib.sha256(f"{rates} {text}".encode()).hexdigest()
+
+
+def take(engine: object, robot_file: str) -> State:
+    """The state of this engine. Raises TypeError where it holds what nobody has thought of."""
+    return {"robot_file": robot_file, "engine": _Walk().node(engine)}
+
+
+def put(engine: object, robot_file: str, state: State) -> None:
+    """Give a newly built engine this state. Raises SnapshotError, and then the engine is of no use."""
+    if not isinstance(state, dict) or set(state) != {"robot_file", "engine"}:
+        raise SnapshotError("not a snapshot of the core")
+    if state["robot_file"] != robot_file:
+        raise SnapshotError("the snapshot is of another robot file")
+    try:
+        _Return().value(state["engine"], engine)
+    except SnapshotError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise SnapshotError(f"{_OTHER}, or damaged: {error!r}") from None
+
+
+class _Walk:
+    """From objects to nodes."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[int, int] = {}  # of mutable things, in the order in which they were met
+        self._nodes: dict[type, Callable[[Any], Node]] = {
+            **dict.fromkeys((int, str, bool, type(None)), lambda plain: plain),
+            float: lambda number: number if isfinite(number) else {"f": repr(number)},
+            bytes: lambda data: {"b": data.hex()},
+            tuple: lambda items: {"t": self._all(items)},
+            list: lambda items: self._new(items) or self._all(items),
+            dict: lambda items: self._new(items) or {"d": [[self.node(k), self.node(v)] for k, v in items.items()]},
+            set: lambda items: self._new(items) or {"s": self._all(sorted(items, key=repr))},
+            frozenset: lambda items: {"z": self._all(sorted(items, key=repr))},
+            deque: lambda items: self._new(items) or {"q": [items.maxlen, self._all(items)]},
+            **dict.fromkeys(_BUILT_TYPES, lambda _: _BUILT),
+        }
+
+    def node(self, value: object) -> Node:
+        """Anything as plain data."""
+        kind = type(value)
+        node = self._nodes.get(kind)
+        if node is None:
+            node = self._nodes[kind] = self._node_of(kind)
+        return node(value)
+
+    def _node_of(self, kind: type) -> Callable[[Any], Node]:
+        """How values of a type of ours become nodes."""
+        name = _name(kind)
+        if name in OWNERS:
+            return lambda owner: (
+                self._new(owner) or {"o": [name, {at: self.node(getattr(owner, at)) for at in _attributes(owner)}]}
+            )
+        if name.startswith(_OURS) and issubclass(kind, Enum):
+            return lambda member: {"e": [name, member.name]}
+        if name.startswith(_OURS) and issubclass(kind, tuple):
+            fields = getattr(kind, "_fields")  # noqa: B009  a named tuple has them
+            kept = [f"{name}.{field}" not in AS_BUILT for field in fields]
+            return lambda items: {
+                "n": [name, *(self.node(item) if keep else _BUILT for item, keep in zip(items, kept, strict=True))]
+            }
+        if name.startswith(_KINEMATICS):
+            return lambda _: _BUILT
+        raise TypeError(f"{name} is neither plain data nor in OWNERS of gateway.core.snapshot")
+
+    def _attributes(self, owner: object) -> dict[str, Node]:
+        return {name: self.node(getattr(owner, name)) for name in _attributes(owner)}
+
+    def _all(self, items: Iterable[object]) -> list[Node]:
+        node = self.node
+        return [node(item) for item in items]
+
+    def _new(self, thing: object) -> Node:
+        """Nothing for a mutable thing that is met for the first time, else a reference to it."""
+        number = self._numbers.get(id(thing))
+        if number is not None:
+            return {"r": number}
+        self._numbers[id(thing)] = len(self._numbers)
+        return None
+
+
+class _Return:
+    """From nodes to values, along an engine that was built from the same robot file."""
+
+    def __init__(self) -> None:
+        self._things: list[Any] = []
+        self._values: dict[str, Callable[[Any, Any], Any]] = {
+            "f": lambda node, _: float(node),
+            "b": lambda node, _: bytes.fromhex(node),
+            "t": lambda node, built: tuple(self._all(node, built)),
+            "d": self._dict,
+            "s": lambda node, _: self._keep(set(self._all(node, None))),
+            "z": lambda node, _: frozenset(self._all(node, None)),
+            "q": lambda node, _: self._keep(deque(self._all(node[1], None), node[0])),
+            "n": self._named,
+            "e": lambda node, _: _ours(node[0], Enum)[node[1]],
+            "o": self._owner,
+            "r": lambda node, _: self._things[node],
+            "x": self._as_built,
+        }
+
+    def value(self, node: Node, built: Any) -> Any:  # noqa: ANN401  whatever it was
+        """What the node stands for; `built`: what stands in its place in the new engine, None if nothing does."""
+        if isinstance(node, list):
+            items: list[Any] = self._keep([])
+            items += self._all(node, built)
+            return items
+        if not isinstance(node, dict):
+            return node
+        ((kind, content),) = node.items()
+        return self._values[kind](content, built)
+
+    def _all(self, nodes: list[Node], built: Any) -> list[Any]:  # noqa: ANN401
+        places = built if isinstance(built, list | tuple) and len(built) == len(nodes) else [None] * len(nodes)
+        return [self.value(node, place) for node, place in zip(nodes, places, strict=True)]
+
+    def _keep(self, thing: Any) -> Any:  # noqa: ANN401
+        self._things.append(thing)
+        return thing
+
+    def _dict(self, node: Node, built: Any) -> Any:  # noqa: ANN401
+        items = self._keep({})
+        for key_node, value_node in node:
+            key = self.value(key_node, None)
+            items[key] = self.value(value_node, built.get(key) if isinstance(built, dict) else None)
+        return items
+
+    def _named(self, node: Node, built: Any) -> Any:  # noqa: ANN401
+        kind = _ours(node[0], tuple)
+        if len(node) - 1 != len(getattr(kind, "_fields")):  # noqa: B009
+            raise SnapshotError(f"{_OTHER}: {node[0]} has other fields")
+        return tuple.__new__(kind, self._all(node[1:], built))
+
+    def _owner(self, node: Node, built: Any) -> Any:  # noqa: ANN401
+        name, attributes = node
+        if _name(type(built)) != name:
+            raise SnapshotError(f"{_OTHER}: there is no {name} in its place")
+        if set(attributes) != set(_attributes(built)):
+            other = ", ".join(sorted(set(attributes) ^ set(_attributes(built))))
+            raise SnapshotError(f"{_OTHER}: {name} differs in {other}")
+        self._keep(built)
+        for attribute, content in attributes.items():
+            setattr(built, attribute, self.value(content, getattr(built, attribute)))
+        return built
+
+    def _as_built(self, _: Node, built: Any) -> Any:  # noqa: ANN401
+        if built is None:
+            raise SnapshotError(f"{_OTHER}: a part of it is not built any more")
+        return built
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _ours(name: str, base: type) -> Any:  # noqa: ANN401
+    """The named tuple or enumeration of ours of this name; nothing else, whatever a damaged file says."""
+    module, _, attribute = name.rpartition(".")
+    kind = getattr(sys.modules[module], attribute) if module.startswith(("gateway", "drivers")) else None
+    if not isinstance(kind, type) or not issubclass(kind, base):
+        raise SnapshotError(f"{_OTHER}: there is no {name}")
+    return kind
+
+
+_known: dict[tuple[object, ...], tuple[str, ...]] = {}
+
+
+def _attributes(owner: object) -> tuple[str, ...]:
+    """Names of what an owner has and may change: of slots, of a compiled class, or of its dict as it is now."""
+    kind, own = type(owner), getattr(owner, "__dict__", ())
+    found = _known.get((kind, *own))
+    if found is None:
+        names = set(own)
+        for base in kind.__mro__:
+            names |= {*base.__dict__.get("__slots__", ()), *base.__dict__.get("__mypyc_attrs__", ())}
+        names -= OWNERS[_name(kind)]
+        found = _known[kind, *own] = tuple(sorted(name for name in names if not name.startswith("__")))
+    return found
