@@ -30,10 +30,11 @@ _Reading = tuple[float, float, int]  # rad, rad/s, ns
 class TwinWatch:
     """Looks at the readings of one id. `turn`: rad after which the position starts anew; None: it never does."""
 
-    __slots__ = ("_before_jump", "_last", "_max_speed", "_returns", "_slack", "_turn")
+    __slots__ = ("_before_jump", "_calm", "_last", "_max_speed", "_returns", "_slack", "_turn")
 
     def __init__(self, spec: MotorSpec, *, turn: float | None = None) -> None:
         self._max_speed = spec.max_speed
+        self._calm = SPEED_NOISE * spec.max_speed
         self._slack = max(SLACK_PERIODS / spec.feedback_rate, 1.0 / spec.command_rate)
         self._turn = turn
         self.forget()
@@ -47,18 +48,26 @@ class TwinWatch:
     def take(self, position: float, velocity: float, received_ns: int) -> bool:
         """Take a reading, rad and rad/s at the motor shaft; whether two rotors are sure by now."""
         reading = (position, velocity, received_ns)
-        last, before_jump = self._last, self._before_jump
-        self._last = reading
-        if last is None or self._goes_on(last, reading):
-            returned = False
+        last, self._last = self._last, reading
+        if last is None:
+            return False
+        # The ordinary frame is near even without the time since the last one, and costs little.
+        near = -self._calm <= velocity - last[1] <= self._calm and (
+            abs(position - last[0]) <= NEAR + abs(velocity) * self._slack
+        )
+        if near or self._goes_on(last, reading):
+            if self._returns:
+                self._returns = max(0.0, self._returns - FADE)
         else:
-            self._before_jump = last
-            returned = before_jump is not None and self._goes_on(before_jump, reading)
-        if returned:
-            self._returns += 1.0
-        elif self._returns:
-            self._returns = max(0.0, self._returns - FADE)
+            self._jump(last, reading)
         return self._returns >= RETURNS
+
+    def _jump(self, last: _Reading, reading: _Reading) -> None:
+        before, self._before_jump = self._before_jump, last
+        if before is not None and self._goes_on(before, reading):
+            self._returns += 1.0
+        else:
+            self._returns = max(0.0, self._returns - FADE)
 
     def _goes_on(self, before: _Reading, now: _Reading) -> bool:
         """Whether one rotor can have moved from one reading to the other."""

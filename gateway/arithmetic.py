@@ -16,6 +16,8 @@ enough (|x| beyond 1e6, or r so small that most of x has cancelled) r is compute
 from collections.abc import Sequence
 from math import isinf, isnan
 
+REVISION = "own, 1"  # told in every session; another one when a bit of a result changes, here or in `linear`
+
 _EIGHTH = 0.7853981633974483  # pi/4: nothing to reduce up to here
 _TINY = 7.450580596923828e-09  # 2^-27: the sine is its argument and the cosine 1, to less than half a last bit
 _FAR = 1e6  # k has 20 bits up to here

@@ -44,7 +44,8 @@ def verify(
     missing, or the beginning deleted by recording.disk_budget or min_free (then nothing is compared).
 
     --json: identical (true with exit 0 only), complete, cycles and frames compared, realtime_ratio, first_difference
-    (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or null), exit_code.
+    (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or null), exit_code, software_change
+    (what computes the outputs and is not what it was, or null).
     """
     try:
         verdict = verify_with_progress(open_session(session))
@@ -195,6 +196,8 @@ def show(verdict: Verdict) -> None:
         subject = f" of motor {difference.motor}" if difference.motor else ""
         console.print(f"[red]different[/] in cycle {difference.cycle}: {difference.field}{subject}")
         console.print(f"  recorded {difference.recorded}\n  replayed {difference.replayed}", highlight=False)
+        if verdict.software_change is not None:
+            console.print(f"  the software is another one: {verdict.software_change}", highlight=False)
     elif verdict.identical:
         console.print(f"[green]identical[/]: {covered}")
     elif verdict.exit_code == EXIT_INCOMPLETE:

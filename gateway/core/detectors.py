@@ -48,9 +48,7 @@ REVERSED_STRAIN_TIME = 0.05  # s with all its torque, moving against it all the 
 REVERSED_NOISE = 0.0005  # of top speed, by which two measurements may differ the other way
 REVERSED_ERROR = 0.04  # of top speed, by which the wheel is off its setpoint by then
 REVERSED_MEMORY = 1.0  # s, in which no other wheel strained for longer ...
-REVERSED_BURDEN = (
-    0.15  # s ... nor the wheel itself for so long: that is an overload, which goes round as the robot turns
-)
+REVERSED_BURDEN = 0.15  # s ... nor the wheel itself for so long: an overload goes round as the robot turns
 REVERSED_RATIO = 2.0  # times the work of any other wheel; what acts on the body acts on at least two wheels alike
 
 FOLLOWING_TOLERANCE = 0.3  # of top speed

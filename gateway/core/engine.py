@@ -49,7 +49,6 @@ DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
 HOLDING = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
 ARMING_TIMEOUT_NS = 3_000_000_000
 ANSWER_TIME_NS = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
-DEGRADED_EFFORT = 0.5  # one motor of four lost: half the acceleration (Rojas section 11, corrected: E-001-14)
 BRAKING = frozenset({Mode.STOPPING, Mode.FAULT})
 DISMISSING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
 MAX_STEP_PERIODS = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
@@ -144,7 +143,7 @@ class Engine:
                 _seconds(selection.age_ns),
                 residual,
             ),
-            self._shutdown and not self._energised and self._mode not in HOLDING,
+            self._shutdown and not self._energised,
         )
 
     def coast_frames(self) -> list[CanFrame]:
@@ -290,7 +289,7 @@ class Engine:
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
         well = not health.faults and all(health.usable)
-        blocked = not well and not self._kinematics.drivable(health.usable)
+        blocked = not well and not self._kinematics.reach(health.usable).complete
         unarmed = self._motors.not_operational(health.usable)
         overdue = self._mode is Mode.STARTING and now_ns - self._mode_since_ns > ARMING_TIMEOUT_NS
         mode = next_mode(
@@ -302,10 +301,9 @@ class Engine:
                 blocked=blocked,
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
-                reduced=not well and not blocked and not all(health.usable),
+                reduced=not all(health.usable),
                 commanded=selection.command is not None,
-                start=self._mode is Mode.IDLE
-                and selection.command is not None
+                start=selection.command is not None
                 and selection.command.twist == ZERO_TWIST
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
@@ -362,7 +360,7 @@ class Engine:
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
             headroom = self._motors.headroom(measured)
-            effort = DEGRADED_EFFORT if self._mode is Mode.DEGRADED else 1.0
+            effort = self._kinematics.reach(health.usable).effort if self._mode is Mode.DEGRADED else 1.0
             _, active = self._limiter.step(target, measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
         elif braking:

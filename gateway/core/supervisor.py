@@ -24,9 +24,9 @@ class Situation(NamedTuple):
     blocked: bool = False  # a fault that leaves some direction undrivable
     latched: bool = False  # a fault that only a reset may clear
     faulty: bool = False  # any fault at all
-    reduced: bool = False  # a motor is lost, every direction is still reachable
+    reduced: bool = False  # a motor is lost; `blocked` says whether every direction is still reachable
     commanded: bool = False  # a source is fresh
-    start: bool = False  # a fresh zero command since the robot came to rest
+    start: bool = False  # a fresh zero command, and no motor to wait for
     armed: bool = False  # every usable motor obeys
     overdue: bool = False  # arming takes too long
     rested: bool = False  # setpoint zero and the wheels stand, or do not report and had their time

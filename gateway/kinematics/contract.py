@@ -23,6 +23,23 @@ class Estimate(NamedTuple):
     residual: float | None
 
 
+class Reach(NamedTuple):
+    """`lost`: twists that no usable motor drives or resists, a basis. `effort`: share of the acceleration that is left.
+
+    The effort holds in every direction, 0 where a direction is lost: what all motors together can push, the usable ones
+    can push that much of.
+    """
+
+    rank: int
+    lost: tuple[Twist, ...]
+    effort: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every direction is reached."""
+        return not self.lost
+
+
 class Kinematics(Protocol):
     """Geometry chassis <-> wheels. Per-wheel sequences are in the order of the robot file.
 
@@ -39,8 +56,8 @@ class Kinematics(Protocol):
         """Forward kinematics from the wheels that were measured (others None); None when they do not determine it."""
         ...
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
-        """Whether the usable motors alone still reach every direction."""
+    def reach(self, usable: Sequence[bool]) -> Reach:
+        """What the usable motors alone can do, at joint angle zero."""
         ...
 
     def matrix(self) -> Matrix:

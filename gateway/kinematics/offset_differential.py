@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from gateway.arithmetic import sin_cos
-from gateway.kinematics.contract import Estimate, GeometryError
+from gateway.kinematics.contract import Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix
+from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
 PLATFORM = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
@@ -54,6 +55,7 @@ class OffsetDifferentialKinematics:
         self._offset = axle_offset
         self._lever = track / (2.0 * axle_offset)  # half track over offset: wheel speed per sideways speed
         self._caster = caster
+        self._reach = ReachTable(self.matrix())
 
     def wheel_speeds(self, twist: Twist, positions: Sequence[float | None]) -> list[float] | None:
         """Inverse kinematics (Eqs. 11-12), rad/s; None while the joint angle is unknown."""
@@ -76,9 +78,9 @@ class OffsetDifferentialKinematics:
         vy = (right * lx - left * rx) / determinant
         return Estimate(Twist(vx, vy, joint - px * vx - py * vy), None)
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
+    def reach(self, usable: Sequence[bool]) -> Reach:
         """Three motors for three axes: every one is needed."""
-        return all(usable)
+        return self._reach.of(usable)
 
     def matrix(self) -> Matrix:
         """Wheel matrix with the platform looking along the chassis."""

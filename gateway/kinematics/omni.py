@@ -13,8 +13,9 @@ from math import sqrt
 from typing import NamedTuple, cast
 
 from gateway.arithmetic import dot, sin_cos
-from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError
+from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo_inverse, transpose
+from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
 _AXES = 3
@@ -49,6 +50,7 @@ class OmniKinematics:
     def __init__(self, wheels: Sequence[WheelPose]) -> None:
         self.rim_matrix: Matrix = tuple(_rim_row(wheel) for wheel in wheels)
         self.rim_pinv = _inverse(self.rim_matrix)
+        self._reach = ReachTable(self.rim_matrix)
         self._radii = tuple(wheel.radius for wheel in wheels)
         self._rows = tuple((a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix, self._radii, strict=True))
         self._all = (True,) * len(wheels)
@@ -64,9 +66,9 @@ class OmniKinematics:
         if None in speeds:
             measured = tuple(speed is not None for speed in speeds)
             solution = self._solution(measured)
-            known = [speed for speed in speeds if speed is not None]
+            known: Sequence[float] = [speed for speed in speeds if speed is not None]
         else:
-            solution, known = self._solutions[self._all], cast("list[float]", speeds)
+            solution, known = self._solutions[self._all], cast("Sequence[float]", speeds)
         if solution is None:
             return None
         vx = vy = wz = 0.0
@@ -82,9 +84,9 @@ class OmniKinematics:
             square += unexplained * unexplained
         return Estimate(Twist(vx, vy, wz), sqrt(square))
 
-    def drivable(self, usable: Sequence[bool]) -> bool:
+    def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""
-        return self._solution(tuple(usable)) is not None
+        return self._reach.of(usable)
 
     def matrix(self) -> Matrix:
         """Wheel matrix, rad/s per (m/s, m/s, rad/s)."""

@@ -6,6 +6,7 @@ import socket
 import subprocess
 from importlib import metadata
 
+from gateway import arithmetic
 from gateway.build import FORM, ROOT
 from gateway.recording.packets import Hello
 from gateway.recording.schema import SCHEMA_VERSION, Header
@@ -24,14 +25,19 @@ def header(hello: Hello, *, session: str, robot: str) -> Header:
         config_origin=hello.config_origin,
         config_sha256=hashlib.sha256(hello.config_text.encode()).hexdigest(),
         config_text=hello.config_text,
-        versions={name: _version(name) for name in _DISTRIBUTIONS}
-        | {"python": platform.python_version(), "core": FORM},
-        git_commit=_git_commit(),
+        versions=versions(),
+        git_commit=git_commit(),
         host=socket.gethostname(),
         started_wall_ns=hello.started_wall_ns,
         wall_minus_mono_ns=hello.wall_minus_mono_ns,
         sealed=True,
     )
+
+
+def versions() -> dict[str, str]:
+    """What this process runs with."""
+    here = {"python": platform.python_version(), "core": FORM, "arithmetic": arithmetic.REVISION}
+    return {name: _version(name) for name in _DISTRIBUTIONS} | here
 
 
 def _version(distribution: str) -> str:
@@ -41,7 +47,7 @@ def _version(distribution: str) -> str:
         return "not installed"
 
 
-def _git_commit() -> str | None:
+def git_commit() -> str | None:
     """Commit of the checkout this file lies in, `-dirty` if it was changed; None outside of one."""
     if not (ROOT / ".git").exists():
         return None

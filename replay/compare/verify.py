@@ -26,6 +26,7 @@ from gateway.core.assembly import Robot, build
 from gateway.core.engine import Engine
 from gateway.types import Inputs, Outputs
 from replay.sessions.reader import RecordedOutputs, Session
+from replay.sessions.software import change
 
 PROGRESS_CYCLES = 1000
 EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
@@ -47,6 +48,7 @@ class Verdict(NamedTuple):
 
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
     otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared.
+    `software_change`: only where something differs, what of the software is not what it was.
     """
 
     identical: bool
@@ -57,6 +59,7 @@ class Verdict(NamedTuple):
     first_difference: Difference | None
     problem: str | None
     exit_code: int
+    software_change: str | None = None
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
@@ -116,6 +119,7 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
         first_difference=difference,
         problem=problem,
         exit_code=exit_code,
+        software_change=None if difference is None else change(session.header),
     )
 
 

@@ -409,6 +409,7 @@ def test_silence_begins_300_ms_after_a_heartbeat_and_50_ms_after_an_estimate() -
             assert driver.feedback(now_ns=now_ns)[0].state is state
     driver.receive(estimates._replace(received_ns=1260 * MS))
     assert driver.feedback(now_ns=1300 * MS - 1)[0].silence is None
+    assert driver.feedback(now_ns=1300 * MS)[0].state is MotorState.SILENT
     words = driver.feedback(now_ns=1300 * MS)[0].silence or ""
     assert words.startswith("estimates arrive, but Heartbeat has not come for 0.30 s")
     driver.receive(heartbeat._replace(received_ns=1300 * MS))

@@ -274,6 +274,7 @@ def test_a_reboot_with_another_firmware_is_not_taken_for_the_old_one() -> None:
     device.powered, device.deaf = True, lambda frame: frame.remote
     stand.run(COAST, ms=500)
     assert set(story(stand)) == {VERSION}
+    assert only(stand).fault is None
 
 
 def test_arming_is_tried_every_300_ms_for_a_second() -> None:

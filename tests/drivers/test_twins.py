@@ -120,19 +120,19 @@ def test_the_rotor_of_a_dji_twin_is_neither_driven_nor_braked() -> None:
 # -- one rotor is one rotor -------------------------------------------------------------------------------------------
 
 
-def rough_drive(chance: Random, count: int = 3000) -> Iterator[Reading]:
+def rough_drive(chance: Random, count: int = 3000, *, top: float = TOP, period: float = PERIOD) -> Iterator[Reading]:
     """Full speeds both ways, hard ramps, and now and then an impact."""
     position = speed = 0.0
     target = rate = 0.0
     for index in range(count):
         if index % 100 == 0:
-            target, rate = chance.choice([0.0, TOP, -TOP]), chance.choice([1.0, 8.0]) * TOP
-        step = max(-rate * PERIOD, min(rate * PERIOD, target - speed))
-        position += (speed + 0.5 * step) * PERIOD
+            target, rate = chance.choice([0.0, top, -top]), chance.choice([1.0, 8.0]) * top
+        step = max(-rate * period, min(rate * period, target - speed))
+        position += (speed + 0.5 * step) * period
         speed += step
         if chance.random() < 0.003:
             speed *= 0.3
-        yield index * PERIOD, position + chance.uniform(-0.02, 0.02), speed
+        yield index * period, position + chance.uniform(-0.02, 0.02), speed
 
 
 def lossy(readings: list[Reading], chance: Random) -> list[Reading]:
@@ -199,3 +199,14 @@ def test_a_motor_of_omni4_at_its_top_speed_and_1_khz() -> None:
         two.receive(frame("dji", (index * 1e-3 + 3e-4, 1.0, 0.0)))
     assert told(one) is None
     assert told(two) is not None
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_one_fast_rotor_in_bursts_with_most_frames_lost(seed: int) -> None:
+    """At top speed a DJI rotor is round within a few lost frames, and the stamps of a burst tell nothing."""
+    chance = Random(seed)
+    unit = DRIVERS["dji"](BUS, [MotorSpec("m", 3, "c620", 864.0, 2.0, 20.0, 1000.0, 250.0, None)])
+    readings = list(rough_drive(chance, 6000, top=864.0, period=1e-3))
+    for reading in in_bursts([one for one in readings if chance.random() > 0.7], chance):
+        unit.receive(frame("dji", reading))
+    assert told(unit) is None

@@ -306,6 +306,20 @@ def test_the_wheel_that_moves_against_its_torque_is_reversed() -> None:
     # Within the time of one strain, 0.15 s, it was 4 % of top speed off: 0.8 rad/s, after 0.16 s at this rate.
     assert blamed(wheels([-0.25, 0.0, 0.0, 0.0], [FULL, *all_well])) is None
     assert blamed(wheels([-1.0, -0.2, 0.0, 0.0], [FULL, *all_well], cycles=10)) is None, "an impact is over by then"
+    assert blamed(wheels([-1.0, -0.6, 0.0, 0.0], [FULL, 7.9, SOME, SOME])) is None, "another goes half as far back"
+    assert blamed(wheels([-1.0, -0.5, 0.0, 0.0], [FULL, 7.9, SOME, SOME])) == (0, 13)
+
+
+def test_a_wheel_that_strained_before_or_in_between_gave_way_is_not_reversed() -> None:
+    against = wheels([-1.0, -0.2, 0.0, 0.0], [FULL, SOME, SOME, SOME])
+    stalled = wheels([0.0, 0.0, 0.0, 0.0], [FULL, SOME, SOME, SOME], cycles=32)
+    assert blamed([*stalled, *against]) is None, "an overload"
+    assert blamed([*stalled[:16], *against]) == (0, 16 + 12), "so short a strain is no overload"
+    recovered = [samples[:1] + samples[1:] for samples in against]
+    recovered[8] = [against[8][0]._replace(speed=against[7][0].speed), *against[8][1:]]  # a standing reading is none
+    assert blamed(recovered) == (0, 13)
+    recovered[8] = [against[8][0]._replace(speed=against[6][0].speed), *against[8][1:]]
+    assert blamed(recovered) == (0, 9 + 13)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from gateway.control.drive_law import Motion
 from gateway.control.transmission import Transmission
 from gateway.core.assembly import Group, Robot, build
 from gateway.core.engine import Engine
-from gateway.core.health import Fault, FaultKind
+from gateway.core.health import Fault, FaultKind, Health
+from gateway.kinematics.contract import Estimate
 from gateway.types import (
     ZERO_TWIST,
     BusEvent,
@@ -49,8 +50,10 @@ class Notes:
         self.positions = [0.0] * size
         self.age_ns = 0
         self.cleared = 0
+        self.heard: list[int] = []
 
-    def receive(self, _frame: CanFrame) -> bool:
+    def receive(self, frame: CanFrame) -> bool:
+        self.heard.append(frame.id)
         return True
 
     def turn(self, seconds: float) -> None:
@@ -352,8 +355,8 @@ def test_odometry_frame_and_body_frame() -> None:
     stand = Stand("omni4")
     stand.drive(ZERO_TWIST, seconds=0.1)
     stand.engine._odometry.pose = stand.engine._odometry.pose._replace(theta=pi / 6)
-    stand.cycle(Twist(1.0, 0.5, 0.25), frame=TwistFrame.ODOM)
-    assert stand.out.trace.target == pytest.approx((0.8660254 + 0.25, 0.4330127 - 0.5, 0.25))
+    stand.cycle(Twist(0.8, 0.5, 0.25), frame=TwistFrame.ODOM)
+    assert stand.out.trace.target == pytest.approx((0.6928203 + 0.25, 0.4330127 - 0.4, 0.25))
     stand.cycle(Twist(1.0, 0.5, 0.25))
     assert stand.out.trace.target == Twist(1.0, 0.5, 0.25)
     stand.cycle(None, RequestKind.ESTOP)
@@ -556,7 +559,7 @@ def test_a_robot_that_rolled_once_is_released_after_the_next_emergency_stop() ->
     stand.run(0.1)
     assert stand.reply(RequestKind.RESET) is None
     assert stand.is_released()
-    stand.drive()
+    stand.drive(ZERO_TWIST)
     stand.cycle(None, RequestKind.ESTOP)
     stand.run(0.5)
     assert stand.is_released()
@@ -578,3 +581,231 @@ def test_a_motor_released_in_a_fault_is_not_driven_before_rest() -> None:
     seen = [stand.cycle(FORWARD) for _ in range(100)]
     assert {out.trace.wheel_setpoints[0] for out in seen} == {None}
     assert None not in {out.trace.wheel_setpoints[1] for out in seen}
+
+
+# one by one
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_resets_belong_to_modes_that_hold_nothing(mode: Mode) -> None:
+    stand = Stand("omni4")
+    stand.engine._mode = mode
+    assert stand.engine.mode is mode
+    refusal = stand.engine._refusal_of_reset(stand.now_ns, estop=False)
+    held = mode in {STARTING, DRIVE, DEGRADED, STOPPING}
+    assert refusal == (f"nothing to reset in mode {mode.value}" if held else None)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_rest_stop_and_failure_ask_every_source_for_a_new_zero(mode: Mode) -> None:
+    stand = Stand("omni4")
+    stand.drive(seconds=0.1)
+    stand.engine._enter(mode, stand.now_ns)
+    stand.cycle(FORWARD)
+    assert (stand.engine._arbiter.select(stand.now_ns).command is None) is (mode in {IDLE, ESTOP, FAULT})
+
+
+def test_reasons_not_to_drive() -> None:
+    stand = Stand("omni4")
+    for _ in range(300):
+        out = stand.cycle(FORWARD)
+        if out.status is not None and out.status.cycle:
+            reason = out.status.reason
+    assert reason == "waiting for a zero command from teleop"
+    stand.drive()
+    stand.run(0.304)
+    out = stand.cycle(FORWARD, source="autonomy")
+    assert out.mode is STOPPING
+    while out.status is None:
+        out = stand.cycle(FORWARD, source="autonomy")
+    assert out.status.reason == "no fresh command"
+
+
+def test_status_comes_at_its_rate_and_with_every_event_and_odometry_at_its_own() -> None:
+    stand = Stand("omni4")
+    outs = [stand.cycle() for _ in range(250)]
+    assert 1 <= sum(out.status is not None for out in outs) <= 50
+    assert 1 <= sum(out.odometry is not None for out in outs) <= 200
+    outs = [stand.cycle(ZERO_TWIST), stand.cycle(ZERO_TWIST), stand.cycle(None, RequestKind.ESTOP)]
+    assert all(out.events and out.status is not None for out in outs)
+
+
+def test_frames_are_handed_on() -> None:
+    stand = Stand("omni4")
+    stand.engine.step(Inputs(1, stand.now_ns, frames=(CanFrame("can0", 7, b""),)))
+    stand.engine.at_rest([CanFrame("can0", 8, b"")], now_ns=stand.now_ns)
+    assert stand.motors.heard == [7, 8]
+
+
+def test_a_shutdown_waits_for_rest_in_an_emergency_stop_too_and_is_not_forgotten() -> None:
+    stand = Stand("omni4")
+    stand.drive(ZERO_TWIST, seconds=0.1)
+    stand.motors.measured[0] = 0.3
+    assert not stand.cycle(None, RequestKind.ESTOP, RequestKind.SHUTDOWN).finished
+    stand = Stand("omni4")
+    stand.drive()
+    stand.cycle(FORWARD, RequestKind.SHUTDOWN)
+    assert stand.cycle(FORWARD, RequestKind.RESET).mode is STOPPING
+    assert stand.run(3.0, FORWARD).finished
+
+
+def test_a_joint_that_jumps_is_a_fault() -> None:
+    stand = Stand("moby")
+    stand.drive(ZERO_TWIST, seconds=0.1)
+    stand.motors.positions[2] += 2.0
+    assert stand.cycle(ZERO_TWIST).mode is FAULT
+
+
+def test_wheels_that_do_not_fit_are_slip_and_one_that_does_not_follow_is_a_fault() -> None:
+    stand = Stand("omni4")
+    stand.drive(Twist(1.0, 0.0, 0.0), seconds=1.5)
+    assert stand.out.trace.pose.x == pytest.approx(1.0, abs=0.3)
+    place = max(range(4), key=lambda index: abs(stand.setpoints[index] or 0.0))
+    stand.motors.measured[place] = -15.0 if (stand.setpoints[place] or 0.0) > 0.0 else 15.0
+    codes = {event.code for _ in range(150) for event in stand.cycle(Twist(1.0, 0.0, 0.0)).events}
+    assert {"slip", "fault_following"} <= codes
+
+
+def test_three_wheels_are_enough_to_know_that_it_stands() -> None:
+    stand = Stand("omni4")
+    stand.motors.states[0] = SILENT
+    stand.cycle()
+    assert stand.engine._standstill.standing is True
+
+
+def test_with_several_steered_joints_a_reference_names_one() -> None:
+    stand = Stand("moby", incremental)
+    stand.engine._kinematics.steered = (1, 2)
+    assert stand.reference() == "motor = 'right': must be one of the steered joints: right, platform"
+    assert stand.reference("platform") is None
+
+
+def test_a_motor_lost_for_a_moment_is_not_back_when_the_drive_is_resumed() -> None:
+    stand = Stand("omni4")
+    stand.drive()
+    stand.motors.states[0] = SILENT
+    assert stand.cycle(FORWARD).mode is DEGRADED
+    stand.motors.states[0] = OPERATIONAL
+    stand.run(0.32)
+    assert stand.is_in(STOPPING)
+    assert stand.cycle(FORWARD).mode is DEGRADED
+
+
+def test_a_fault_that_takes_no_motor_is_waited_for_at_the_start_only() -> None:
+    stand = Stand("omni4")
+    stand.engine._buses_down["can9"] = "off"
+    assert stand.cycle(ZERO_TWIST).mode is IDLE
+    assert stand.cycle(ZERO_TWIST, ms=3000.0).mode is STARTING
+    assert stand.cycle(ZERO_TWIST).mode is DRIVE
+
+
+def test_one_latched_fault_among_others_is_enough() -> None:
+    stand = Stand("omni4")
+    stand.motors.states[0] = SILENT
+    stand.engine._health.latch(Fault(FaultKind.STALL, "front_right", "stands still", latched=True))
+    assert stand.cycle().mode is FAULT
+
+
+@pytest.mark.parametrize("why", ["stop", "bus"])
+def test_only_arming_that_takes_too_long_is_blamed_on_who_did_not_arm(why: str) -> None:
+    stand = Stand("omni4", states=[READY] * 4)
+    stand.cycle(ZERO_TWIST)
+    if why == "stop":
+        assert stand.cycle(ZERO_TWIST, RequestKind.ESTOP, ms=3001.0).mode is ESTOP
+    else:
+        stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "front_left", "runs", latched=True))
+        stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "rear_left", "runs", latched=True))
+        assert stand.cycle(ZERO_TWIST).mode is FAULT
+    kinds = {fault.kind for fault in stand.engine._judge(stand.engine._measured).faults}
+    assert FaultKind.ARMING not in kinds
+
+
+def health(*, obeying: Sequence[bool] = (True,) * 4) -> Health:
+    return Health((True,) * 4, tuple(obeying), (True,) * 4, ())
+
+
+@pytest.mark.parametrize(
+    ("estimate", "obeying", "setpoint"),
+    [
+        (None, False, 1.0),
+        (Estimate(Twist(0.2, 0.0, 0.0), None), False, 0.96),
+        (Estimate(Twist(1.0, 0.0, 0.0), None), False, 1.0),
+        (Estimate(Twist(1.0, 0.0, 0.0), None), True, 1.0 - 15.0 * 0.004**2),  # jerk
+    ],
+)
+def test_a_setpoint_on_its_way_to_rest(estimate: Estimate | None, obeying: bool, setpoint: float) -> None:
+    engine = Stand("omni4").engine
+    engine._limiter.reset(Twist(1.0, 0.0, 0.0))
+    engine._brake(engine._measured._replace(estimate=estimate, dt=0.004), health(obeying=(obeying,) * 4))
+    assert engine._limiter.setpoint.vx == pytest.approx(setpoint, rel=1e-6)
+
+
+def test_who_follows() -> None:
+    stand = Stand("omni4", states=[READY, READY, OPERATIONAL, OPERATIONAL])
+    assert stand.engine._followed(health())
+    assert stand.engine._followed(health(obeying=(True, True, False, True)))
+    assert not stand.engine._followed(health(obeying=(True, True, False, False)))
+
+
+def test_what_nobody_can_reach_or_measure_is_released_after_four_seconds() -> None:
+    stand = Stand("omni4")
+    stand.drive()
+    stand.motors.states = [SILENT] * 4
+    stand.cycle()
+    stand.cycle(ms=3990.0)
+    assert stand.engine._energised
+    stand.cycle(ms=20.0)
+    assert not stand.engine._energised
+
+
+def test_a_stalled_motor_may_go_on_with_the_ramp_but_is_not_driven() -> None:
+    fault = Fault(FaultKind.STALL, "left", "stands still", latched=True)
+    stand = Stand("moby")
+    stand.drive()
+    stand.engine._health.latch(fault)
+    assert stand.cycle(FORWARD).mode is FAULT
+    assert None not in stand.setpoints
+    stand = Stand("omni4")
+    stand.drive()
+    stand.engine._health.latch(fault._replace(subject="front_left"))
+    outs = [*(stand.cycle(FORWARD) for _ in range(10)), *(stand.cycle() for _ in range(90))]
+    assert {DEGRADED, STOPPING} <= {out.mode for out in outs}
+    place = stand.names.index("front_left")
+    assert {out.trace.wheel_setpoints[place] for out in outs} == {None}
+
+
+def test_category_2_holds_after_an_emergency_stop_only() -> None:
+    stand = Stand("omni4", lambda text: f"{text}\n[stop]\ncategory = 2\n")
+    stand.drive()
+    stand.cycle(FORWARD, bus=BusEventKind.DOWN)
+    stand.run(3.0, FORWARD)
+    assert stand.is_in(FAULT)
+    assert not stand.engine._energised
+
+
+def test_nothing_starts_while_a_motor_is_waited_for_that_was_out_of_reach() -> None:
+    stand = Stand("moby")
+    stand.cycle(ms=3000.0)
+    stand.motors.states = [SILENT] * 3
+    stand.cycle(bus=BusEventKind.DOWN)
+    stand.motors.states[0] = OPERATIONAL
+    assert stand.cycle(ZERO_TWIST, bus=BusEventKind.UP).mode is IDLE
+    assert stand.engine._other_faults(stand.engine._measured) == []
+    stand.motors.states = [OPERATIONAL] * 3
+    assert stand.cycle(ZERO_TWIST).mode is STARTING
+
+
+def test_a_reset_on_the_way_to_rest_gives_no_motor_back() -> None:
+    stand = Stand("moby")
+    stand.drive()
+    stand.engine._health.latch(Fault(FaultKind.RUNAWAY, "left", "runs away", latched=True))
+    assert stand.cycle(FORWARD).mode is FAULT
+    assert stand.is_released()
+    stand.run(0.02)
+    assert stand.reply(RequestKind.RESET, twist=ZERO_TWIST) is None
+    stand.run(0.1)
+    assert stand.is_in(FAULT), "it has not rested long enough"
+    while stand.is_in(FAULT):
+        assert stand.is_released()
+        stand.cycle()
+    assert stand.is_in(IDLE)

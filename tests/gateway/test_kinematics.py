@@ -153,9 +153,9 @@ def test_odometry_survives_any_single_encoder() -> None:
         assert estimate is not None
         assert estimate.twist == pytest.approx(twist)
         assert estimate.residual is None
-        assert chassis.drivable([speed is not None for speed in wheels])
+        assert chassis.reach([speed is not None for speed in wheels]).complete
     assert chassis.twist([None, None, 1.0, 1.0], []) is None
-    assert not chassis.drivable([False, False, True, True])
+    assert not chassis.reach([False, False, True, True]).complete
 
 
 def test_offset_needs_every_motor_and_its_joint_angle() -> None:
@@ -163,7 +163,7 @@ def test_offset_needs_every_motor_and_its_joint_angle() -> None:
     assert chassis.twist([1.0, None, 0.0], [0.0, 0.0, 0.0]) is None
     assert chassis.twist([1.0, 1.0, 0.0], [0.0, 0.0, None]) is None
     assert chassis.wheel_speeds(Twist(1, 0, 0), [0.0, 0.0, None]) is None
-    assert not chassis.drivable([True, True, False])
+    assert not chassis.reach([True, True, False]).complete
     with pytest.raises(GeometryError):
         OffsetDifferentialKinematics(wheel_radius=0.1, axle_offset=1e-4, track=0.4)
 

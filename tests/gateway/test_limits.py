@@ -179,6 +179,7 @@ def test_stopping_follows_from_the_limits(velocity: Twist, jerk: Twist, time: fl
 COURSES = {
     # In steps of 1 s: 1.5 s of full acceleration to go; the rate grows by 1, then falls by 1.
     "soft": (ZERO_TWIST, Twist(3, 0, 0), SOFT, 1.0, {}, [(1, 0, 0), (2.5, 0, 0), (3, 0, 0), (3, 0, 0)]),
+    "soft, nearly a step more": (ZERO_TWIST, Twist(3.9, 0, 0), SOFT, 1.0, {}, [(1, 0, 0), (2.95, 0, 0), (3.9, 0, 0)]),
     "all axes": (ZERO_TWIST, Twist(9, 4.5, -0.9), HARD, 0.5, {}, [(1, 0.5, -0.1)]),
     "half effort": (ZERO_TWIST, Twist(9, 0, 0), HARD, 1.0, {"effort": 0.5}, [(1, 0, 0), (2, 0, 0)]),
     "headroom": (ZERO_TWIST, Twist(-9, 0, 0), SOFT, 1.0, {"headroom": 0.25}, [(-0.25, 0, 0), (-0.5625, 0, 0)]),
@@ -308,6 +309,9 @@ def test_half_steps() -> None:
     moving = limiter(TOP, ACCELERATION, SOFT)
     seen = [moving.step(Twist(1, 0, 0), 0.5)[0].vx for _ in range(4)]
     assert [*seen, moving.step(Twist(9, 0, 0), 0.5)[0].vx] == pytest.approx([0.25, 0.75, 1.0, 1.0, 1.25])
+    moving.reset()
+    seen = [moving.step(Twist(1, 0, 0), 0.5)[0].vx for _ in range(3)]
+    assert [*seen, moving.step(Twist(9, 0, 0), 0.5)[0].vx] == pytest.approx([0.25, 0.75, 1.0, 1.5])
 
 
 def test_brake_forgets_where_a_rate_led_but_not_how_fast_it_slowed_down() -> None:

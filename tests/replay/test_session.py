@@ -46,6 +46,7 @@ from gateway.types import (
 )
 from replay.sessions.framing import repair
 from replay.sessions.reader import SessionError, open_session
+from replay.sessions.software import change
 from tests.drives import drive
 from tests.recordings import STARTED_NS, expected, robot_text, write, writer
 
@@ -164,7 +165,19 @@ def test_header(tmp_path: Path) -> None:
     assert (header.started_wall_ns, header.wall_minus_mono_ns) == (STARTED_NS, STARTED_NS - 5_000_000_000)
     assert header.session == session.path.name == "moby-20260921T141320Z"
     assert header.versions["rerun-sdk"] == rr.__version__
+    assert header.versions["arithmetic"] == "own, 1"
     assert len(header.config_sha256) == 64
+
+
+def test_a_change_of_the_software_is_told_part_by_part(tmp_path: Path) -> None:
+    header = open_session(write(tmp_path, list(drive(3)))).header
+    assert change(header) is None
+    then = msgspec.structs.replace(header, versions=header.versions | {"drivegate": "0.0.9"}, git_commit="abc")
+    first, second = str(change(then)).split("; ")
+    assert first == f"drivegate 0.0.9, now {header.versions['drivegate']}"
+    assert second.startswith("commit abc, now ")
+    del then.versions["arithmetic"]  # as before sessions told it
+    assert str(change(then)).endswith("; arithmetic the machine's libraries, now own, 1")
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
