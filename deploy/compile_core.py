@@ -19,9 +19,11 @@ COMPILED = (
     "gateway/core",
     "gateway/kinematics",
     "gateway/control",
-    "gateway/types.py",
     "gateway/arithmetic.py",
 )
+# Their tuples are tuples to mypyc in any case, and compiled they lose the annotations by which the recorder's process
+# reads them (mypyc keeps `float`, but of `float | None` and `tuple[CanFrame, ...]` it keeps nothing).
+NOT_COMPILED = {"drivers/contract.py"}
 GROUP = "drivegate"  # its shared part becomes drivegate__mypyc
 # Compilers for ARM fuse a * b + c into one rounding unless told not to: the last bit would differ from other machines.
 FLAGS = "-ffp-contract=off -g0"
@@ -36,7 +38,8 @@ def c_compiler() -> str | None:
 def sources(root: Path) -> list[Path]:
     """What is compiled, relative to the root."""
     found = [path for name in COMPILED for path in sorted((root / name).rglob("*.py")) or [root / name]]
-    return [path.relative_to(root) for path in found if path.stat().st_size]
+    relative = [path.relative_to(root) for path in found if path.stat().st_size]
+    return [path for path in relative if path.as_posix() not in NOT_COMPILED]
 
 
 def compile_into(root: Path, work: Path) -> list[Path]:

@@ -3,10 +3,10 @@
 from importlib import metadata
 from pathlib import Path
 
-from gateway import types
+from gateway import arithmetic
 
 ROOT = Path(__file__).parent.parent  # holds the packages: the checkout, or the environment's site-packages
-COMPILED = Path(types.__file__).suffix != ".py"
+COMPILED = Path(arithmetic.__file__).suffix != ".py"
 FORM = "compiled core" if COMPILED else "pure Python core"
 
 
