@@ -11,7 +11,7 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.config import ConfigError, load
-from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist
+from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
 from gateway.types import ZERO_TWIST, Mode, Pose, Twist
 
 EXIT_NO_ROBOT = 69
@@ -213,14 +213,21 @@ def tell(answer: ResetAnswer, *, json: bool) -> None:
 def watch(
     name: RobotName,
     connect: Connect = None,
-    once: Annotated[bool, typer.Option("--once", help="Print the state once.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print the table once.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the state once, as the robot publishes it.")] = False,
 ) -> None:
     """Live table of a running robot; Ctrl-C ends it."""
     with open_client(name, connect) as client:
         events: list[EventMessage] = []
-        if once:
+        if once or json:
             state = client.wait_for_state(lambda _: True, ALIVE_TIMEOUT_S)
-            console.print(_table(name, client, state, events))
+            if state is None:
+                complain(f"{name} tells no state")
+                raise typer.Exit(EXIT_NO_ROBOT)
+            if json:
+                print_json(state_document(state))
+            else:
+                console.print(_table(name, client, state, events))
             return
         try:
             with Live(_table(name, client, None, events), console=console, refresh_per_second=10) as live:
