@@ -77,7 +77,7 @@ def send(  # noqa: PLR0917  # a command line: each parameter is an option with a
     if json:
         print_json({"ok": reason is None, "reason": reason, "refusals": refusals, "pose": pose and pose._asdict()})
     elif pose is not None:
-        console.print(f"at x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad")
+        console.print(f"at x {pose.x:z.3f} m, y {pose.y:z.3f} m, theta {pose.theta:z.3f} rad")
     for refusal in refusals:
         complain(f"refused: {refusal}")
     if reason is not None:
@@ -245,7 +245,7 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
         return Table(title=title)
     status = state.status
     caption = [
-        f"pose x {status.pose.x:.3f} m  y {status.pose.y:.3f} m  theta {status.pose.theta:.3f} rad",
+        f"pose x {status.pose.x:z.3f} m  y {status.pose.y:z.3f} m  theta {status.pose.theta:z.3f} rad",
         f"winner {status.winner or '-'}  limits {', '.join(status.limits_active) or '-'}  cycle {status.cycle}",
         f"overruns {status.overruns}  refused {status.refused}  frames dropped {status.tx_dropped}",
         *(f"{event.level.value} {event.code}: {event.text}" for event in events),
@@ -264,4 +264,4 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
 
 
 def _number(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.2f} {unit}"
+    return "-" if value is None else f"{value:z.2f} {unit}"
