@@ -270,13 +270,16 @@ class Axis:
             return None
         if heartbeat:
             name, setting, last_ns = "Get_Encoder_Estimates", self.firmware.estimates_setting, self.measured_ns
-            rate = f"set {setting} to {max(1, int(1e3 / self.spec.feedback_rate))} (ms)"
+            rate_ms = max(1, int(1e3 / self.spec.feedback_rate))
         else:
             name, setting, last_ns = "Heartbeat", self.firmware.heartbeat_setting, self.heartbeat_ns
-            rate = f"set {setting} to 100 (ms)"
+            rate_ms = 100
         other = "estimates" if estimates else "heartbeats"
-        since = "never came" if last_ns is None else f"has not come for {max(0, now_ns - last_ns) * 1e-9:.2f} s"
-        return f"{other} arrive, but {name} {since}: {rate} in the controller"
+        if last_ns is None:
+            return f"{other} arrive, but {name} never came: set {setting} to {rate_ms} (ms) in the controller"
+        # What came before is turned on: of a controller that lost its supply the faster message is missed first.
+        since = f"has not come for {max(0, now_ns - last_ns) * 1e-9:.2f} s"
+        return f"{other} arrive, but {name} {since}: check supply, cable, and that {setting} is {rate_ms} (ms)"
 
     def result_words(self) -> str:
         """Outcome of the last procedure, where the heartbeat tells one."""

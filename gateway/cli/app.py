@@ -48,6 +48,7 @@ def build(called: str | None) -> typer.Typer:
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",  # joins the lines of a docstring
     )
     app.callback()(_options)  # also keeps the command's name in use even when it is the only one
     for name in [called] if called in COMMANDS else COMMANDS:

@@ -11,7 +11,7 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.config import ConfigError, load
-from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist
+from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
 from gateway.types import ZERO_TWIST, Mode, Pose, Twist
 
 EXIT_NO_ROBOT = 69
@@ -77,7 +77,7 @@ def send(  # noqa: PLR0917  # a command line: each parameter is an option with a
     if json:
         print_json({"ok": reason is None, "reason": reason, "refusals": refusals, "pose": pose and pose._asdict()})
     elif pose is not None:
-        console.print(f"at x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad")
+        console.print(f"at x {pose.x:z.3f} m, y {pose.y:z.3f} m, theta {pose.theta:z.3f} rad")
     for refusal in refusals:
         complain(f"refused: {refusal}")
     if reason is not None:
@@ -213,14 +213,21 @@ def tell(answer: ResetAnswer, *, json: bool) -> None:
 def watch(
     name: RobotName,
     connect: Connect = None,
-    once: Annotated[bool, typer.Option("--once", help="Print the state once.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print the table once.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the state once, as the robot publishes it.")] = False,
 ) -> None:
     """Live table of a running robot; Ctrl-C ends it."""
     with open_client(name, connect) as client:
         events: list[EventMessage] = []
-        if once:
+        if once or json:
             state = client.wait_for_state(lambda _: True, ALIVE_TIMEOUT_S)
-            console.print(_table(name, client, state, events))
+            if state is None:
+                complain(f"{name} tells no state")
+                raise typer.Exit(EXIT_NO_ROBOT)
+            if json:
+                print_json(state_document(state))
+            else:
+                console.print(_table(name, client, state, events))
             return
         try:
             with Live(_table(name, client, None, events), console=console, refresh_per_second=10) as live:
@@ -238,7 +245,7 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
         return Table(title=title)
     status = state.status
     caption = [
-        f"pose x {status.pose.x:.3f} m  y {status.pose.y:.3f} m  theta {status.pose.theta:.3f} rad",
+        f"pose x {status.pose.x:z.3f} m  y {status.pose.y:z.3f} m  theta {status.pose.theta:z.3f} rad",
         f"winner {status.winner or '-'}  limits {', '.join(status.limits_active) or '-'}  cycle {status.cycle}",
         f"overruns {status.overruns}  refused {status.refused}  frames dropped {status.tx_dropped}",
         *(f"{event.level.value} {event.code}: {event.text}" for event in events),
@@ -257,4 +264,4 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
 
 
 def _number(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.2f} {unit}"
+    return "-" if value is None else f"{value:z.2f} {unit}"

@@ -26,7 +26,7 @@ from replay.sessions.reader import Session, SessionError, open_session
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
 
-replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True)
+replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True, rich_markup_mode="markdown")
 
 
 @replay.callback()

@@ -31,7 +31,7 @@ def sim(
     channel: Annotated[str | None, typer.Option(help="CAN interface instead of the robot file's, e.g. vcan0.")] = None,
     tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
     endpoint: Annotated[
-        str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key <robot>/truth).")
+        str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`).")
     ] = None,
 ) -> None:
     """Be the motors and the robot on a (virtual) CAN interface until SIGTERM or SIGINT. Never on a real robot's bus.

@@ -159,7 +159,7 @@ def joint(motor: str, *, robot: str, absolute: bool, status: Status | None) -> F
 def service(name: str, unit: Unit | None) -> Finding:
     """What the service manager says of the robot's unit; None: there is none."""
     if unit is None:
-        return Finding(name, Grade.NOTE, "systemd does not run here", "start by hand: drivegate run")
+        return Finding(name, Grade.NOTE, "systemd does not run here", "start by hand: drivegate run FILE")
     if unit.loaded != "loaded":
         return Finding(name, Grade.NOTE, "not installed", "sh deploy/install.sh")
     judges = {"active": _active, "activating": _starting, "failed": _failed}

@@ -220,7 +220,17 @@ def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
 
 def encode_state(status: Status, now_ns: int, extras: Mapping[str, object]) -> bytes:
     """Payload of `state` and answer of `status`."""
-    return _json({"t": now_ns / 1e9} | status._asdict() | {"extras": dict(extras)})
+    return _state_json(StateMessage(now_ns / 1e9, status, dict(extras)))
+
+
+def state_document(state: StateMessage) -> dict[str, object]:
+    """A received state as it was on the wire, for whoever passes it on."""
+    document: dict[str, object] = from_json(_state_json(state))
+    return document
+
+
+def _state_json(state: StateMessage) -> bytes:
+    return _json({"t": state.t} | state.status._asdict() | {"extras": state.extras})
 
 
 def encode_event(event: Event, now_ns: int) -> bytes:

@@ -3,7 +3,7 @@
 import errno
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import can
 
@@ -14,9 +14,14 @@ logger = logging.getLogger(__name__)
 
 REOPEN_NS = 100_000_000
 
-# What the controllers' own hardware filters let pass, (id, mask); without them foreign traffic would stall the world.
 _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK = 5, 0x7E0  # CANSimple: node id in the upper six bits
 _DJI_COMMANDS = ((0x200, 0x7FF), (0x1FF, 0x7FF))  # RoboMaster C610 manual, p. 8
+
+# What the controllers' own hardware filters let pass, (id, mask); without them foreign traffic would stall the world.
+HEARD: dict[str, Callable[[int], Sequence[tuple[int, int]]]] = {
+    "odrive": lambda node: ((node << _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK),),
+    "dji": lambda _: _DJI_COMMANDS,
+}
 
 
 class MotorsInterface(can.BusABC):
@@ -72,8 +77,5 @@ class MotorsInterface(can.BusABC):
 
 
 def _heard(motor: Motor) -> list[can.typechecking.CanFilter]:
-    pairs = {
-        "odrive": ((motor.id << _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK),),
-        "dji": _DJI_COMMANDS,
-    }[motor.driver]
+    pairs = HEARD[motor.driver](motor.id)
     return [{"can_id": identifier, "can_mask": mask, "extended": False} for identifier, mask in pairs]

@@ -414,7 +414,7 @@ def test_silence_begins_300_ms_after_a_heartbeat_and_50_ms_after_an_estimate() -
     assert words.startswith("estimates arrive, but Heartbeat has not come for 0.30 s")
     driver.receive(heartbeat._replace(received_ns=1300 * MS))
     words = driver.feedback(now_ns=1310 * MS)[0].silence or ""
-    assert words.startswith("heartbeats arrive, but Get_Encoder_Estimates has not come for 0.05 s")
+    assert words.startswith("heartbeats arrive, but Get_Encoder_Estimates has not come for 0.05 s: check supply, ")
 
 
 @pytest.mark.parametrize("ms", [50, 300])

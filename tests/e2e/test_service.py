@@ -117,7 +117,7 @@ def test_a_killed_commander_leaves_the_robot_at_rest(tmp_path: Path, free_port: 
 
 
 def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
-    """`send`, `stop`, `watch --once` against a running robot."""
+    """`send`, `stop`, `watch` against a running robot."""
     with RobotProcess("omni4", tmp_path, free_port) as robot:
 
         def drivegate(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -141,6 +141,8 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         assert stopped.returncode == 0, stopped.stderr
         assert json.loads(stopped.stdout)["ok"] is True
         assert "estop" in drivegate("watch", "omni4", "--once").stdout
+        watched = json.loads(drivegate("watch", "omni4", "--json").stdout.splitlines()[-1])
+        assert (watched["mode"], [source["name"] for source in watched["sources"]]) == ("estop", ["teleop", "autonomy"])
         latched = drivegate("send", "omni4", "--vx", "0.3")
         assert latched.returncode == 1
         assert "does not start: mode estop: emergency stop: needs a reset" in latched.stderr

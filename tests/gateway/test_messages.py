@@ -289,6 +289,13 @@ def test_state_on_the_wire_is_the_status_in_words() -> None:
     assert set(document) == {"t", "extras", *Status._fields}
 
 
+def test_a_received_state_is_passed_on_as_it_was() -> None:
+    payload = messages.encode_state(STATUS, 2_000_000_000, {"disk": 5})
+    received = messages.decode_state(payload)
+    assert received is not None
+    assert messages.state_document(received) == json.loads(payload)
+
+
 def test_state_survives_the_wire() -> None:
     message = messages.decode_state(messages.encode_state(STATUS, 2_000_000_000, {"disk": 5}))
     assert message == (2.0, STATUS, {"disk": 5})

@@ -6,7 +6,7 @@ The golden sessions and the replay laws are not among them: they notice that som
 _GATEWAY, _DRIVERS, _REPLAY = "tests/gateway/test_", "tests/drivers/test_", "tests/replay/test_"
 
 _CORE = (
-    *(f"{_GATEWAY}{name}.py" for name in ("health", "commands", "parts", "odometry", "estop_latch")),
+    *(f"{_GATEWAY}{name}.py" for name in ("health", "arbiter", "parts", "odometry", "estop_latch")),
     *(f"{_REPLAY}{name}.py" for name in ("closed_loop", "sim_robot")),
     *(f"{_GATEWAY}{name}.py" for name in ("engine_rules", "detection_figures", "engine")),
     *("tests/test_safety.py", "tests/test_laws.py"),
@@ -31,7 +31,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "gateway/core/joint_trust.py": _core("joint_trust"),
     "gateway/core/standstill.py": _core("standstill"),
     "gateway/core/motors.py": _core("motors"),
-    "gateway/core/arbiter.py": _core("commands"),
+    "gateway/core/arbiter.py": _core("arbiter"),
     "gateway/edges/source_gate.py": _core("source_gate"),
     "gateway/control/limits.py": _core("limits"),
     "gateway/control/drive_law.py": _core("drive_law"),

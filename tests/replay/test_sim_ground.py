@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants.rigid_body import GRAVITY, RigidBody, Vector
-from tests.replay.test_sim_dynamics import NAMES, config, dynamics, plant
+from tests.replay.test_rigid_body import NAMES, config, dynamics, plant
 
 WHEELS = {"omni4": (0, 1, 2, 3), "moby": (0, 1)}
 SPEED = st.floats(-2.0, 2.0)

@@ -5,10 +5,17 @@ from struct import pack, unpack
 
 import pytest
 
+from drivers import DRIVERS
 from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
+from replay.sim.network_device import HEARD
+from replay.sim.robot import CONTROLLERS
 from tests.replay.test_sim_bus import MILLISECOND, MOBY, OMNI, START, drive, odrive, stamps
+
+
+def test_every_driver_has_a_simulated_controller_in_process_and_on_a_real_interface() -> None:
+    assert set(DRIVERS) == set(CONTROLLERS) == set(HEARD)
 
 
 def arm_frames() -> list[CanFrame]:
