@@ -9,18 +9,30 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from tests.vm import packages
+
 CHECKOUT = Path(__file__).parent.parent
 COPIED = ("tests", "deploy", ".ci", "README.md", "LICENSE", "pyproject.toml")
+TOOLS = packages.COMPILER_TOOLS | {f"{sysconfig.get_path('include')}/Python.h": "python3-dev"}
 NEEDED = "from gateway.build import COMPILED, ROOT; import sys; sys.exit(not COMPILED or str(ROOT) != sys.argv[1])"
 
 
 def main(arguments: Sequence[str]) -> int:
     """0 if everything passes and both forms agree."""
+    missing = packages.missing(TOOLS)
+    if missing and os.geteuid() == 0:
+        sys.stdout.write(f"installing {' '.join(missing)}\n")
+        packages.install(missing)
+    missing = packages.missing(TOOLS)
+    if missing:
+        sys.stdout.write(f"cannot run, as root: apt-get install {' '.join(missing)}\n")
+        return 1
     with tempfile.TemporaryDirectory(prefix="drivegate-compiled-") as directory:
         tree = unpacked_wheel(Path(directory))
         if python(tree, "-c", NEEDED, str(tree)).returncode:
