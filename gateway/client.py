@@ -21,7 +21,7 @@ from typing import Self, SupportsFloat, SupportsIndex, TypeVar
 import zenoh
 
 from gateway.config import NAME_PATTERN
-from gateway.edges import messages
+from gateway.edges import keys, messages
 from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import ZERO_TWIST, Mode, TwistFrame
@@ -63,13 +63,14 @@ class Client:
         self._session = open_zenoh(
             listen=[], connect=connect, max_message_size=MAX_MESSAGE_SIZE, config_file=config_file
         )
-        self._stop_publisher = self._publisher("cmd/stop", zenoh.CongestionControl.BLOCK)
+        self._stop_publisher = self._publisher(keys.STOP, zenoh.CongestionControl.BLOCK)
         self._receivers = Receivers(self._session)
-        self._subscribe("odometry", messages.decode_odometry, self._keep_odometry)
-        self._subscribe("state", messages.decode_state, self._keep_state)
-        self._subscribe("truth", messages.decode_truth, self._keep_truth)
-        self._subscribe("event", messages.decode_event, self._events.append, ring=MAX_EVENTS)
-        self._receivers.watch(self._key("alive"), lambda sample: self._set_alive(sample.kind == zenoh.SampleKind.PUT))
+        self._subscribe(keys.ODOMETRY, messages.decode_odometry, self._keep_odometry)
+        self._subscribe(keys.STATE, messages.decode_state, self._keep_state)
+        self._subscribe(keys.TRUTH, messages.decode_truth, self._keep_truth)
+        self._subscribe(keys.EVENT, messages.decode_event, self._events.append, ring=MAX_EVENTS)
+        alive = self._key(keys.ALIVE)
+        self._receivers.watch(alive, lambda sample: self._set_alive(sample.kind == zenoh.SampleKind.PUT))
 
     def send_twist(
         self,
@@ -114,23 +115,23 @@ class Client:
 
     def reset(self, timeout: float = 2.0) -> ResetAnswer:
         """Asks to release the emergency stop or to clear a fault."""
-        return self._ask("cmd/reset", None, timeout)
+        return self._ask(keys.RESET, None, timeout)
 
     def reference(self, motor: str | None = None, angle: SupportsFloat = 0.0, timeout: float = 2.0) -> ResetAnswer:
         """Says that a steered joint (the only one, where `motor` is None) stands at this angle now, rad at the output.
 
         Raises ValueError for an angle out of range or what is no name.
         """
-        return self._ask("cmd/reference", messages.encode_reference(motor, angle), timeout)
+        return self._ask(keys.REFERENCE, messages.encode_reference(motor, angle), timeout)
 
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""
-        payload = self._get("status", timeout)
+        payload = self._get(keys.STATUS, timeout)
         return None if payload is None else messages.decode_state(payload)
 
     def config_text(self, timeout: float = 2.0) -> str | None:
         """The robot file of the running gateway; None: no answer."""
-        payload = self._get("config", timeout)
+        payload = self._get(keys.CONFIG, timeout)
         return None if payload is None else payload.decode(errors="replace")
 
     @property
@@ -191,7 +192,7 @@ class Client:
         self.close()
 
     def _key(self, rest: str) -> str:
-        return f"{self._robot}/{rest}"
+        return keys.key(self._robot, rest)
 
     def _publisher(self, rest: str, congestion: zenoh.CongestionControl) -> zenoh.Publisher:
         return self._session.declare_publisher(
@@ -200,8 +201,7 @@ class Client:
 
     def _commander(self, source: str) -> zenoh.Publisher:
         if source not in self._commanders:
-            key = f"cmd/twist/{_checked(source)}"
-            self._commanders[source] = self._publisher(key, zenoh.CongestionControl.DROP)
+            self._commanders[source] = self._publisher(keys.twist(_checked(source)), zenoh.CongestionControl.DROP)
         return self._commanders[source]
 
     def _ask(self, rest: str, request: bytes | None, timeout: float) -> ResetAnswer:

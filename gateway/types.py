@@ -14,6 +14,14 @@ class Twist(NamedTuple):
     wz: float
 
 
+class Displacement(NamedTuple):
+    """A way of the body in its own frame at the start of it: m, m, rad (what wpilib calls Twist2d)."""
+
+    x: float
+    y: float
+    turn: float
+
+
 class Pose(NamedTuple):
     """Position of `base_link` in `odom`: m, rad (REP-103, REP-105)."""
 
@@ -23,6 +31,7 @@ class Pose(NamedTuple):
 
 
 ZERO_TWIST = Twist(0.0, 0.0, 0.0)
+NO_DISPLACEMENT = Displacement(0.0, 0.0, 0.0)
 
 
 class Mode(Enum):

@@ -10,7 +10,7 @@ from math import remainder, tau
 
 from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Kinematics
-from gateway.types import ZERO_TWIST, Odometry, Pose, Twist
+from gateway.types import NO_DISPLACEMENT, Displacement, Odometry, Pose, Twist
 
 # Variance per metre and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard floor.
 # Source: chosen by us until a robot has been measured; stated in the README.
@@ -33,9 +33,9 @@ _FIRST_VARIANCE = 1e-6  # m^2, m^2, rad^2
 _FIRST_COVARIANCE: Covariance = (_FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE)
 
 
-def advance(pose: Pose, delta: Twist) -> Pose:
-    """The pose after a body displacement (m, m, rad) along the exact arc of constant velocity (SE(2) exponential)."""
-    dx, dy, turn = delta
+def advance(pose: Pose, way: Displacement) -> Pose:
+    """The pose after a displacement along the exact arc of constant velocity (SE(2) exponential)."""
+    dx, dy, turn = way
     if abs(turn) < _SMALL_ANGLE:
         square = turn * turn
         along = 1.0 + square * (-1 / 6 + square / 120.0)
@@ -103,7 +103,7 @@ class WheelOdometry:
         turn = self._turn(heading)
         way = self._displacement(deltas, angles) if any(deltas) else None
         if way is not None or turn:
-            self._move(way or ZERO_TWIST, turn)
+            self._move(way or NO_DISPLACEMENT, turn)
         slip_variance = residual * residual * dt if residual else 0.0
         self._slip_variance += slip_variance
         if turn is None:
@@ -139,25 +139,25 @@ class WheelOdometry:
         before, self._heading = self._heading, heading
         return None if heading is None or before is None else remainder(heading - before, tau)
 
-    def _displacement(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> Twist | None:
-        """Of the body, as the wheels have it: m, m, rad; None where they do not determine it."""
+    def _displacement(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> Displacement | None:
+        """Of the body, as the wheels have it; None where they do not determine it."""
         if self._kinematics.steered:  # the geometry of mid-way serves the whole way to second order
             positions = [
                 None if position is None else position - 0.5 * (delta or 0.0)
                 for position, delta in zip(positions, deltas, strict=True)
             ]
         estimate = self._kinematics.twist(deltas, positions)
-        return None if estimate is None else estimate.twist
+        return None if estimate is None else Displacement(*estimate.twist)
 
-    def _move(self, way: Twist, turn: float | None) -> None:
-        length = abs(way.vx) + abs(way.vy)
+    def _move(self, way: Displacement, turn: float | None) -> None:
+        length = abs(way.x) + abs(way.y)
         self._way += length
         if turn is None:
-            self._turned += abs(way.wz)
+            self._turned += abs(way.turn)
             self._turning_way += length
             self.pose = advance(self.pose, way)
         else:
-            self.pose = advance(self.pose, Twist(way.vx, way.vy, turn))
+            self.pose = advance(self.pose, Displacement(way.x, way.y, turn))
 
     def _grow(self) -> None:
         """P <- F P F' + Q for the motion since the last call; F moves the lever of the heading error."""

@@ -10,7 +10,7 @@ from functools import partial
 from queue import SimpleQueue
 from typing import NamedTuple, TypeVar
 
-from gateway.edges import messages
+from gateway.edges import keys, messages
 from gateway.types import Event, Level, Refusal, Request, RequestKind, TwistCommand
 
 MAX_REFUSALS = 32  # waiting for the loop; the oldest are dropped
@@ -63,7 +63,7 @@ class Outbox:
     def __init__(self) -> None:
         self.calls: SimpleQueue[bool] = SimpleQueue()  # True: something waits; False: the end
         self._newest: dict[str, deque[Callable[[], bytes]]] = {
-            name: deque(maxlen=1) for name in ("odometry", "state", "truth")
+            name: deque(maxlen=1) for name in (keys.ODOMETRY, keys.STATE, keys.TRUTH)
         }
         self._events: deque[Callable[[], bytes]] = deque()
         self._lost = 0
@@ -87,14 +87,14 @@ class Outbox:
     def take(self) -> Iterator[tuple[str, bytes]]:
         """Names and payloads of all that waits, ending with how many events were lost."""
         while self._events:
-            yield "event", self._events.popleft()()
+            yield keys.EVENT, self._events.popleft()()
         for name, slot in self._newest.items():
             if slot:
                 yield name, slot.popleft()()
         lost, self._lost_told = self._lost - self._lost_told, self._lost
         if lost:
             event = Event(Level.WARNING, "events_lost", f"{lost} events could not be published in time")
-            yield "event", messages.encode_event(event, self._lost_ns)
+            yield keys.EVENT, messages.encode_event(event, self._lost_ns)
 
     def _call(self) -> None:
         if self.calls.empty():

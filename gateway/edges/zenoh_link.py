@@ -20,7 +20,7 @@ from typing import Self
 import zenoh
 
 from gateway.config import RobotConfig
-from gateway.edges import messages
+from gateway.edges import keys, messages
 from gateway.edges.mailbox import Drained, Mailbox, Outbox
 from gateway.edges.messages import TwistMessage
 from gateway.edges.source_gate import SourceGate
@@ -54,7 +54,7 @@ class ZenohLink:
     def __init__(self, config: RobotConfig, config_text: str) -> None:
         self._robot = config.robot.name
         self._sources = [source.name for source in config.commands.source]
-        self._own_keys = {self._key(f"cmd/twist/{source}") for source in self._sources} | {self._key("cmd/stop")}
+        self._own_keys = {self._key(keys.twist(source)) for source in self._sources} | {self._key(keys.STOP)}
         self._mailbox = Mailbox(self._sources)
         self._outbox = Outbox()
         self._questions = Questions(self._mailbox.questions.append)
@@ -66,22 +66,22 @@ class ZenohLink:
             scouting=config.zenoh.multicast_scouting,
             config_file=config.zenoh.config_file,
         )
-        self._publishers = {name: self._publisher(name) for name in ("odometry", "state", "event", "truth")}
+        self._publishers = {name: self._publisher(name) for name in keys.PUBLISHED}
         self._receivers = Receivers(self._session)
         self._publishing = self._receivers.pump("publisher", iter(self._outbox.calls.get, False), self._send)
         for source in config.commands.source:
             gate = SourceGate(round(source.timeout * 1e9))
-            self._receivers.subscribe(self._key(f"cmd/twist/{source.name}"), partial(self._receive, source.name, gate))
-        self._receivers.subscribe(self._key("cmd/stop"), self._stop)
-        self._receivers.subscribe(self._key("cmd/**"), self._refuse_stranger, ring=MAX_STRANGERS)
+            self._receivers.subscribe(self._key(keys.twist(source.name)), partial(self._receive, source.name, gate))
+        self._receivers.subscribe(self._key(keys.STOP), self._stop)
+        self._receivers.subscribe(self._key(keys.COMMANDS), self._refuse_stranger, ring=MAX_STRANGERS)
         answers = iter(self._questions.next_reply, END)
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
-        for rest, read in (("cmd/reset", _reset), ("cmd/reference", _reference)):
+        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference)):
             self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
-        self._receivers.answer(self._key("status"), self._answer_status, ring=MAX_LOOKS)
+        self._receivers.answer(self._key(keys.STATUS), self._answer_status, ring=MAX_LOOKS)
         answer_config = partial(self._answer_config, config_text.encode())
-        self._receivers.answer(self._key("config"), answer_config, ring=MAX_LOOKS)
-        self._token = self._session.liveliness().declare_token(self._key("alive"))
+        self._receivers.answer(self._key(keys.CONFIG), answer_config, ring=MAX_LOOKS)
+        self._token = self._session.liveliness().declare_token(self._key(keys.ALIVE))
 
     def drain(self, now_ns: int) -> Drained:
         """Newest command of each source, refusals and requests since the last call; never waits."""
@@ -104,15 +104,15 @@ class ZenohLink:
     ) -> None:
         """Leaves the outputs of a cycle to the publisher thread; never waits. `extras` must not change afterwards."""
         if odometry is not None:
-            self._outbox.leave("odometry", partial(messages.encode_odometry, odometry, now_ns))
+            self._outbox.leave(keys.ODOMETRY, partial(messages.encode_odometry, odometry, now_ns))
         if status is not None:
-            self._outbox.leave("state", partial(messages.encode_state, status, now_ns, extras))
+            self._outbox.leave(keys.STATE, partial(messages.encode_state, status, now_ns, extras))
         if events:
             self._outbox.leave_events(events, now_ns)
 
     def publish_truth(self, pose: Pose, t: float) -> None:
         """Where the simulated robot really is, at `t` seconds."""
-        self._outbox.leave("truth", partial(messages.encode_truth, pose, t))
+        self._outbox.leave(keys.TRUTH, partial(messages.encode_truth, pose, t))
 
     def close(self) -> None:
         """Publishes what waits, withdraws from the network and ends the threads, in bounded time."""
@@ -131,25 +131,25 @@ class ZenohLink:
         self.close()
 
     def _key(self, rest: str) -> str:
-        return f"{self._robot}/{rest}"
+        return keys.key(self._robot, rest)
 
     def _publisher(self, name: str) -> zenoh.Publisher:
         return self._session.declare_publisher(
             self._key(name),
             encoding=zenoh.Encoding.APPLICATION_JSON,
             congestion_control=zenoh.CongestionControl.DROP,
-            express=name != "event",
+            express=name != keys.EVENT,
         )
 
     def _send(self, _: bool) -> None:
         for name, payload in self._outbox.take():
             self._publishers[name].put(payload)
-            if name == "state":
+            if name == keys.STATE:
                 self._state = payload
 
     def _receive(self, source: str, gate: SourceGate, sample: zenoh.Sample) -> None:
         received_ns = time.monotonic_ns()
-        if str(sample.key_expr) != self._key(f"cmd/twist/{source}"):
+        if str(sample.key_expr) != self._key(keys.twist(source)):
             return  # a wildcard: refused by the subscriber of strangers
         message = _twist(sample, source, received_ns)
         outcome = message if isinstance(message, Refusal) else gate.admit(*message)
@@ -189,11 +189,11 @@ class ZenohLink:
             if self._state is None:
                 query.reply_err("no state was published yet")
                 return
-            query.reply(self._key("status"), self._state, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(self._key(keys.STATUS), self._state, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _answer_config(self, text: bytes, query: zenoh.Query) -> None:
         with query:
-            query.reply(self._key("config"), text, encoding=zenoh.Encoding.TEXT_PLAIN)
+            query.reply(self._key(keys.CONFIG), text, encoding=zenoh.Encoding.TEXT_PLAIN)
 
 
 def _twist(sample: zenoh.Sample, source: str, received_ns: int) -> TwistMessage | Refusal:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gateway.core.odometry import WheelOdometry, advance
 from gateway.kinematics.omni import OmniKinematics, WheelPose
-from gateway.types import Pose, Twist
+from gateway.types import Displacement, Pose, Twist
 
 RADIUS = 0.05
 POSES = [WheelPose(0.3 * cos(a), 0.3 * sin(a), a, RADIUS) for a in (pi / 4, 3 * pi / 4, 5 * pi / 4, 7 * pi / 4)]
@@ -59,10 +59,10 @@ def test_a_circle_closes_exactly() -> None:
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.integers(1, 50))
 def test_one_step_equals_many(vx: float, vy: float, wz: float, parts: int) -> None:
     """The exponential map of a constant twist does not depend on how it is cut."""
-    whole = advance(Pose(1.0, 2.0, 0.5), Twist(vx, vy, wz))
+    whole = advance(Pose(1.0, 2.0, 0.5), Displacement(vx, vy, wz))
     pose = Pose(1.0, 2.0, 0.5)
     for _ in range(parts):
-        pose = advance(pose, Twist(vx / parts, vy / parts, wz / parts))
+        pose = advance(pose, Displacement(vx / parts, vy / parts, wz / parts))
     assert pose == pytest.approx(whole, abs=1e-9)
 
 

@@ -17,7 +17,7 @@ from gateway.core.odometry import WheelOdometry, advance
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.offset_differential import OffsetDifferentialKinematics
 from gateway.kinematics.omni import OmniKinematics, WheelPose
-from gateway.types import Pose, Twist
+from gateway.types import Displacement, Pose, Twist
 
 Given = Mapping[str, Any]
 DOCUMENT = json.loads((Path(__file__).parents[1] / "vectors" / "peers.json").read_text(encoding="utf-8"))
@@ -122,13 +122,13 @@ def odometry(given: Given) -> Pose:
 
 def arc(given: Given) -> Pose:
     vx, vy, wz = (rate * given["seconds"] for rate in given["twist"])
-    return advance(Pose(0.0, 0.0, 0.0), Twist(vx, vy, wz))
+    return advance(Pose(0.0, 0.0, 0.0), Displacement(vx, vy, wz))
 
 
 def arc_of_ways(given: Given) -> Pose:
     """The way as the wheels have it, with another turn."""
     dx, dy, _ = twist({**given, "wheels": given["ways"]})
-    return advance(Pose(0.0, 0.0, 0.0), Twist(dx, dy, given["turn"]))
+    return advance(Pose(0.0, 0.0, 0.0), Displacement(dx, dy, given["turn"]))
 
 
 def desaturated(given: Given) -> list[float]:

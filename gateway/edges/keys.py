@@ -1,0 +1,24 @@
+"""Every Zenoh key of a robot, once; the robot's name stands before each. Payloads are in `gateway.edges.messages`."""
+
+STOP = "cmd/stop"  # anything put here is an emergency stop
+RESET = "cmd/reset"  # asked
+REFERENCE = "cmd/reference"  # asked
+COMMANDS = "cmd/**"
+STATUS = "status"  # asked
+CONFIG = "config"  # asked: the robot file
+ODOMETRY = "odometry"
+STATE = "state"
+EVENT = "event"
+TRUTH = "truth"  # of a simulated robot
+PUBLISHED = (ODOMETRY, STATE, EVENT, TRUTH)
+ALIVE = "alive"  # a liveliness token
+
+
+def twist(source: str) -> str:
+    """Where a command source puts its twists."""
+    return f"cmd/twist/{source}"
+
+
+def key(robot: str, rest: str) -> str:
+    """The whole key."""
+    return f"{robot}/{rest}"
