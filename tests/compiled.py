@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 CHECKOUT = Path(__file__).parent.parent
@@ -31,10 +31,12 @@ def main(arguments: Sequence[str]) -> int:
         return compare(tree, Path(directory))
 
 
-def unpacked_wheel(directory: Path) -> Path:
-    """A folder with the packages of a wheel built from the checkout, and the tests."""
+def unpacked_wheel(directory: Path, environment: Mapping[str, str] | None = None) -> Path:
+    """A folder with the packages of a wheel built from the checkout, and the tests. `environment`: of the compiler."""
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    subprocess.run([*pip, "--wheel-dir", str(directory), str(CHECKOUT)], check=True)
+    subprocess.run(
+        [*pip, "--wheel-dir", str(directory), str(CHECKOUT)], env=os.environ | dict(environment or {}), check=True
+    )
     (wheel,) = directory.glob("*.whl")
     tree = directory / "tree"
     with zipfile.ZipFile(wheel) as packed:

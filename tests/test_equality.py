@@ -52,7 +52,7 @@ def test_a_bit_of_the_arithmetic_is_seen(drive: World, monkeypatch: pytest.Monke
     assert found.first_difference is not None
 
 
-JUDGEMENT = Judgement("moby", "aarch64", 9, None, "ab" * 32, "cd")
+JUDGEMENT = Judgement("moby", "aarch64", "pure Python core", 9, None, "ab" * 32, "cd")
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_nothing_judged_is_a_failure() -> None:
 def test_without_packages_there_is_no_emulator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It fails with the tool's own words, and leaves nothing in the cache that looks whole."""
 
-    def fails(command: Sequence[str], environment: Mapping[str, str]) -> CompletedProcess[str]:
+    def fails(command: Sequence[str], environment: Mapping[str, str], folder: Path) -> CompletedProcess[str]:
         return CompletedProcess(command, 100, "", "E: no network")
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -92,7 +92,7 @@ def test_without_packages_there_is_no_emulator(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(emulator.EmulatorError, match="apt-get failed: E: no network"):
         emulator.python()
     assert list((tmp_path / "drivegate").iterdir()) == []
-    assert lane._emulated(tmp_path).failure == "apt-get failed: E: no network"
+    assert lane._emulated(tmp_path, compiled=False).failure == "apt-get failed: E: no network"
 
 
 def test_without_tools_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

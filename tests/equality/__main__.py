@@ -1,7 +1,8 @@
 """A session recorded here gives the same bytes on every processor: one drive of each bundled robot, replayed.
 
 Lane `variants`: on this machine with its vector instructions hidden from the C library and from BLAS, `replay verify`
-and the digest of all outputs. Lane `aarch64`: the core under an emulated arm64, the digest alone.
+and the digest of all outputs. Lane `aarch64`: the core under an emulated arm64, the digest alone; lane `compiled`: the
+same with the core compiled for it, by a compiler that would fuse multiplications and additions if it was let.
 """
 
 import argparse
@@ -17,11 +18,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.robot_files import bundled
+from tests.compiled import CHECKOUT
 from tests.equality import emulator
 from tests.equality.drive import record
 from tests.equality.judge import Judgement
 
-LANES = ("variants", "aarch64")
+LANES = ("variants", "aarch64", "compiled")
 WITHOUT = "AVX,AVX2,AVX512F,AVX512VL,FMA,FMA4"
 
 # What each pretends to be. The order of sets of strings differs too: each has another PYTHONHASHSEED.
@@ -57,7 +59,9 @@ def main() -> int:
             runs[0] = _verified(runs[0], sessions, _environment(0, {}))
             runs += [_variant(place, name, folder, sessions) for place, name in enumerate(VARIANTS) if place > 0]
         if arguments.lane in {None, "aarch64"}:
-            runs.append(_emulated(folder))
+            runs.append(_emulated(folder, compiled=False))
+        if arguments.lane in {None, "compiled"}:
+            runs.append(_emulated(folder, compiled=True))
     failed = [problem for one in runs for problem in _problems(one, expected)]
     for one in runs:
         sys.stdout.write(_line(one, expected) + "\n")
@@ -67,7 +71,7 @@ def main() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.equality", description=__doc__, allow_abbrev=False)
-    parser.add_argument("lane", nargs="?", choices=LANES, help="default: both")
+    parser.add_argument("lane", nargs="?", choices=LANES, help="default: all")
     return parser
 
 
@@ -80,20 +84,24 @@ def _variant(place: int, name: str, folder: Path, sessions: Mapping[str, Path]) 
     return _verified(_judged(name, [sys.executable], folder, environment), sessions, environment)
 
 
-def _emulated(folder: Path) -> Run:
-    name = "emulated aarch64"
+def _emulated(folder: Path, *, compiled: bool) -> Run:
+    form = "compiled core" if compiled else "pure Python core"
+    name = f"emulated aarch64, {form}"
     try:
-        command = emulator.python().command([])
+        python = emulator.python()
+        tree = python.compiled(folder) if compiled else CHECKOUT
+        found = _judged(name, python.command(tree), folder, _environment(len(VARIANTS), {}), tree)
     except emulator.EmulatorError as error:
         return Run(name, failure=str(error))
-    found = _judged(name, command, folder, _environment(len(VARIANTS), {}))
-    strange = {one.machine for one in found.judgements} - {"aarch64"}
-    return found._replace(failure=f"it ran on {', '.join(strange)}") if strange else found
+    strange = {(one.machine, one.form) for one in found.judgements} - {("aarch64", form)}
+    return found._replace(failure=f"it was another one that ran: {strange}") if strange else found
 
 
-def _judged(name: str, python: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Run:
+def _judged(
+    name: str, python: Sequence[str], folder: Path, environment: Mapping[str, str], tree: Path = CHECKOUT
+) -> Run:
     try:
-        done = emulator.run([*python, "-m", "tests.equality.judge", str(folder)], environment)
+        done = emulator.run([*python, "-m", "tests.equality.judge", str(folder)], environment, tree)
     except (OSError, subprocess.TimeoutExpired) as error:
         return Run(name, failure=str(error))
     if done.returncode != 0:

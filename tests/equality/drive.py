@@ -1,4 +1,4 @@
-"""One drive of each bundled robot that passes through all of the core's arithmetic, as a session and as packets."""
+"""One drive of each bundled robot that passes through all of the core's arithmetic, as a session and pickled."""
 
 from pathlib import Path
 

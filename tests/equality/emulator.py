@@ -17,13 +17,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.compiled import CHECKOUT, unpacked_wheel
 from tests.vm import packages
 
-CHECKOUT = Path(__file__).parents[2]
 CONSTRAINTS = CHECKOUT / "deploy" / "constraints.txt"
+COMPILER = "aarch64-linux-gnu-gcc"
+COMPILER_TOOLS = {
+    COMPILER: "gcc-aarch64-linux-gnu",
+    "/usr/aarch64-linux-gnu/include/stdio.h": "libc6-dev-arm64-cross",
+}
 TOOLS = {"qemu-aarch64-static": "qemu-user-static", "apt-get": "apt", "dpkg-deb": "dpkg"}
 DEBIAN = ("python3-minimal", "libpython3-stdlib")
-WHEELS = ("msgspec", "pydantic")
+WHEELS = ("pydantic",)
 PLATFORMS = ("manylinux_2_28_aarch64", "manylinux_2_17_aarch64", "manylinux2014_aarch64")
 LIBRARIES = "usr/lib/aarch64-linux-gnu:lib/aarch64-linux-gnu"
 LIMIT_S = 600.0
@@ -39,14 +44,32 @@ class Python(NamedTuple):
     root: Path
     site: Path
 
-    def command(self, arguments: Sequence[str]) -> list[str]:
-        """How to run it, from the checkout."""
+    def command(self, folder: Path) -> list[str]:
+        """How to run it with the packages of this folder."""
         libraries = ":".join(str(self.root / part) for part in LIBRARIES.split(":"))
         return [
             *("qemu-aarch64-static", "-L", str(self.root)),
-            *("-E", f"LD_LIBRARY_PATH={libraries}", "-E", f"PYTHONPATH={self.site}:{CHECKOUT}"),
-            *(str(interpreter(self.root)), *arguments),
+            *("-E", f"LD_LIBRARY_PATH={libraries}", "-E", f"PYTHONPATH={self.site}:{folder}"),
+            str(interpreter(self.root)),
         ]
+
+    def compiled(self, directory: Path) -> Path:
+        """A folder with the packages and the tests, the core compiled for it as an installation compiles it.
+
+        Raises EmulatorError.
+        """
+        _have(COMPILER_TOOLS)
+        name = interpreter(self.root).name
+        headers = self.root / "usr" / "include"
+        compiler = {
+            "CC": f"{COMPILER} -I{headers / name} -I{headers}",
+            "LDSHARED": f"{COMPILER} -shared",
+            "SETUPTOOLS_EXT_SUFFIX": f".cpython-{name.removeprefix('python').replace('.', '')}-aarch64-linux-gnu.so",
+        }
+        try:
+            return unpacked_wheel(directory, compiler)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise EmulatorError(str(error)) from None
 
 
 def interpreter(root: Path) -> Path:
@@ -59,13 +82,7 @@ def interpreter(root: Path) -> Path:
 
 def python() -> Python:
     """From the cache, or made now. Raises EmulatorError."""
-    missing = packages.missing(TOOLS)
-    if missing and os.geteuid() == 0:
-        sys.stdout.write(f"installing {' '.join(missing)}\n")
-        packages.install(missing)
-    missing = packages.missing(TOOLS)
-    if missing:
-        raise EmulatorError(f"cannot run, as root: apt-get install {' '.join(missing)}")
+    _have(TOOLS)
     place = _cache()
     if not place.is_dir():
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -74,6 +91,16 @@ def python() -> Python:
             _make(made)
             _keep(made, place)
     return Python(place / "root", place / "site")
+
+
+def _have(tools: Mapping[str, str]) -> None:
+    missing = packages.missing(tools)
+    if missing and os.geteuid() == 0:
+        sys.stdout.write(f"installing {' '.join(missing)}\n")
+        packages.install(missing)
+        missing = packages.missing(tools)
+    if missing:
+        raise EmulatorError(f"cannot run, as root: apt-get install {' '.join(missing)}")
 
 
 def _cache() -> Path:
@@ -101,23 +128,38 @@ def _make(place: Path) -> None:
     (apt / "status").touch()
     _apt(apt, "update")
     _apt(apt, "--download-only", "install", *DEBIAN)
-    for package in sorted((apt / "archives").glob("*.deb")):
-        _run(["dpkg-deb", "-x", str(package), str(root)])
+    _unpack(apt / "archives", root)
+    name = interpreter(root).name
+    (apt / "headers").mkdir()
+    _apt(apt, "download", f"lib{name}-dev", folder=apt / "headers")  # without the packages that it needs elsewhere
+    _unpack(apt / "headers", root)
     shutil.rmtree(apt)
     if not (root / "lib").exists():  # packages of newer releases have everything in usr
         (root / "lib").symlink_to("usr/lib")
-    version = interpreter(root).name.removeprefix("python")
     platforms = [word for platform in PLATFORMS for word in ("--platform", platform)]
     _run(
         [
             *(sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"),
-            *("--target", str(site), "--only-binary=:all:", "--implementation", "cp", "--python-version", version),
+            *(
+                "--target",
+                str(site),
+                "--only-binary=:all:",
+                "--implementation",
+                "cp",
+                "--python-version",
+                name.removeprefix("python"),
+            ),
             *(*platforms, "-c", str(CONSTRAINTS), *WHEELS),
         ]
     )
 
 
-def _apt(state: Path, *arguments: str) -> None:
+def _unpack(packed: Path, root: Path) -> None:
+    for package in sorted(packed.glob("*.deb")):
+        _run(["dpkg-deb", "-x", str(package), str(root)])
+
+
+def _apt(state: Path, *arguments: str, folder: Path = CHECKOUT) -> None:
     """apt-get for arm64 on a system on which nothing is installed."""
     options = {
         "APT::Architecture": "arm64",
@@ -132,23 +174,25 @@ def _apt(state: Path, *arguments: str) -> None:
         "Dir::Cache::archives": str(state / "archives"),
     }
     words = [word for name, value in options.items() for word in ("-o", f"{name}={value}")]
-    _run(["apt-get", "-qq", "-y", *words, *arguments], DEBIAN_FRONTEND="noninteractive")
+    _run(["apt-get", "-qq", "-y", *words, *arguments], folder=folder)
 
 
-def _run(command: Sequence[str], **environment: str) -> None:
+def _run(command: Sequence[str], *, folder: Path = CHECKOUT) -> None:
     try:
-        done = run(command, os.environ | environment)
+        done = run(command, {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}, folder)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise EmulatorError(str(error)) from None
     if done.returncode != 0:
         raise EmulatorError(f"{command[0]} failed: {(done.stderr or done.stdout).strip()[-500:]}")
 
 
-def run(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-    """To its end, from the checkout, with what it said."""
+def run(
+    command: Sequence[str], environment: Mapping[str, str], folder: Path = CHECKOUT
+) -> subprocess.CompletedProcess[str]:
+    """To its end, in this folder, with what it said."""
     return subprocess.run(
         command,
-        cwd=CHECKOUT,
+        cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
         capture_output=True,

@@ -29,6 +29,8 @@ from gateway.types import (
 )
 from tests.world import NAMES, robot_text
 
+pytestmark = pytest.mark.pure_python  # the motors are put in place of the drivers that the engine builds
+
 MS = 1_000_000
 SECOND = 1000 * MS
 FORWARD = Twist(0.4, 0.0, 0.0)

@@ -393,6 +393,7 @@ def test_a_recorder_that_raises_is_told_and_driven_without(clock: FakeTime, brok
     assert "any more" in str(recording["error"])
 
 
+@pytest.mark.pure_python
 def test_a_robot_that_will_not_rest_does_not_keep_the_process_alive(
     clock: FakeTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:

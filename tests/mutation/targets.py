@@ -34,6 +34,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "gateway/core/arbiter.py": _core("arbiter"),
     "gateway/edges/source_gate.py": _core("source_gate"),
     "gateway/control/limits.py": _core("limits"),
+    "gateway/control/drive_law.py": _core("drive_law"),
+    "gateway/kinematics/reach.py": (f"{_GATEWAY}reach.py", f"{_GATEWAY}kinematics.py"),
     "drivers/dji.py": _DJI,
     "drivers/odrive/group.py": _ODRIVE,
     "drivers/odrive/axis.py": _ODRIVE,
