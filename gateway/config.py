@@ -295,7 +295,9 @@ def read(path: Path) -> str:
     """The text of a file that a person wrote. Raises ConfigError."""
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
 
 

@@ -167,7 +167,7 @@ class HealthMonitor:
             age = "never heard" if motor.age_ns is None else f"silent for {motor.age_ns * 1e-9:.2f} s"
             return Fault(FaultKind.SILENT, name, motor.silence or age, latched=False)
         if energised and index in self._obeyed and index not in self._lost:
-            text = f"left operation while driving (is {motor.state.value})"
+            text = f"stopped obeying (is {motor.state.value})"
             return Fault(FaultKind.MOTOR, name, text, latched=False)
         return None
 

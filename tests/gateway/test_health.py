@@ -170,7 +170,7 @@ def test_only_a_motor_that_obeyed_can_leave_operation() -> None:
     assert assess(health, idle, WELL).faults == (), "not brought up yet"
     assess(health, WELL, WELL)
     assert assess(health, idle, WELL, energised=False).faults == ()
-    left = Fault(FaultKind.MOTOR, "left", "left operation while driving (is idle)", latched=False)
+    left = Fault(FaultKind.MOTOR, "left", "stopped obeying (is idle)", latched=False)
     assert assess(health, idle, WELL).faults == (left,)
     assert assess(health, idle, WELL).faults == (), "lost is lost: told once"
     health = monitor()
