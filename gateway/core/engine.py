@@ -392,7 +392,7 @@ class Engine:
         """Take the setpoint back to what is measured along its direction, where the robot is much slower than that."""
         setpoint, top = self._limiter.setpoint, self._velocity
         size = excess(setpoint, top)
-        if size == 0.0:
+        if size <= SLACK:  # nothing to take back; and the square of less than 1e-162 would be zero, to divide by
             return
         scaled = [s / limit for s, limit in zip(setpoint, top, strict=True)]
         along = dot(scaled, [m / limit for m, limit in zip(measured, top, strict=True)]) / dot(scaled, scaled)

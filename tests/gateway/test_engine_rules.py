@@ -414,6 +414,7 @@ def test_slip_is_named() -> None:
         (Twist(1.0, 0.0, 0.0), Twist(0.79, 1.0, 1.0), 1.0, 0.99),
         (Twist(1.0, 0.75, 2.0), Twist(0.5, 0.375, -1.0), 1.0, 1 / 6 + 0.2),
         (ZERO_TWIST, Twist(0.2, 0.0, 0.0), 0.004, 1.0),
+        (Twist(1e-170, 0.0, 0.0), Twist(0.2, 0.0, 0.0), 0.004, 1.0),  # the tail of a filter; its square is zero
     ],
 )
 def test_a_braking_setpoint_falls_back_to_what_is_measured(
