@@ -187,7 +187,7 @@ class Engine:
         measured = self._motors.measure(now_ns, dt)
         speeds = measured.speeds
         angles = self._trust.angles(measured.positions)
-        deltas, jumped = self._odometry.deltas(angles, now_ns)
+        deltas, jumped = self._odometry.deltas(angles, measured.ages_ns, now_ns)
         self._trust.watch(angles, jumped, now_ns)
         trusted = self._trust.trusted(angles)
         estimate = self._kinematics.twist(speeds, trusted)

@@ -376,6 +376,18 @@ def test_a_joint_that_jumps_is_not_believed_and_a_reset_does_not_change_that() -
     assert world.is_in(Mode.IDLE)
 
 
+def test_a_joint_that_jumps_while_it_stands_is_not_believed_either() -> None:
+    """However long it stood: nothing turns by 1.2 rad between two measurements of 4 ms."""
+    world = World("moby")
+    world.start()
+    world.run(1.0, ZERO_TWIST)
+    world.bus.robot.shift_encoder("platform", 1.2)
+    world.run(2.0, Twist(0.5, 0.0, 0.0))
+    assert world.is_in(Mode.FAULT)
+    assert world.true_speed() < 0.01
+    assert "fault_position_unknown" in {event.code for event in world.events}
+
+
 def test_wheels_saturate_together() -> None:
     """Both axes at once ask more of a wheel than it has: all are scaled, the direction stays."""
     world = World("moby")
