@@ -376,6 +376,26 @@ def test_a_joint_that_jumps_is_not_believed_and_a_reset_does_not_change_that() -
     assert world.is_in(Mode.IDLE)
 
 
+def test_a_robot_that_stopped_while_its_bus_was_away_stays_at_rest() -> None:
+    """A relay cut the supply of the motors meanwhile: what they were told before the bus went counts no more."""
+    world = World("omni4")
+    world.start()
+    world.run(2.0, Twist(1.5, 0.0, 0.0))
+    world.bus.fail("can0")
+    world.run(0.2)
+    for device in world.bus.robot.devices.values():
+        device.power_off()
+        device.power_on()
+    world.run(5.0)
+    assert world.true_speed() < 0.05
+    world.bus.restore("can0")
+    fastest = 0.0
+    for _ in range(100):
+        world.run(0.004)
+        fastest = max(fastest, world.true_speed())
+    assert fastest < 0.05
+
+
 def test_a_joint_that_jumps_while_it_stands_is_not_believed_either() -> None:
     """However long it stood: nothing turns by 1.2 rad between two measurements of 4 ms."""
     world = World("moby")

@@ -455,6 +455,26 @@ def test_the_setpoint_waits_while_nobody_follows(name: str) -> None:
     assert {out.mode for out in seen} == {FAULT}
 
 
+@both
+@pytest.mark.parametrize("heard", [1, 3])
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_motors_that_follow_again_go_on_from_how_they_turn(name: str, heard: int, share: float) -> None:
+    """Whatever stopped them meanwhile; and who is heard first is enough to know."""
+    stand = Stand(name)
+    stand.drive()
+    size = len(stand.names)
+    stand.motors.states = [SILENT] * size
+    stand.cycle(FORWARD, bus=BusEventKind.DOWN)
+    for _ in range(10):
+        stand.cycle(FORWARD)
+    waiting, told = stand.out.trace.setpoint, stand.setpoints
+    stand.motors.states = [OPERATIONAL] * heard + [SILENT] * (size - heard)
+    stand.motors.measured = {index: share * (speed or 0.0) for index, speed in enumerate(told)}
+    stand.cycle(FORWARD, bus=BusEventKind.UP)
+    assert stand.out.mode is FAULT
+    assert share * waiting.vx - 0.01 < stand.out.trace.setpoint.vx <= share * waiting.vx + 1e-12
+
+
 # measurement
 
 
