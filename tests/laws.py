@@ -67,7 +67,10 @@ def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
 
 
 def nothing_moves_without_a_zero(drive: Drive, config: RobotConfig) -> Iterator[str]:
-    """Whoever drives has sent a zero of its own since the robot last entered IDLE, ESTOP or FAULT, or started."""
+    """Whoever drives has sent a zero of its own since the robot last entered IDLE, ESTOP or FAULT, or started.
+
+    A zero after which it asked for motion while the robot still lay in IDLE does not count.
+    """
     zeros = _Zeros(config)
     before: Moment | None = None
     for now in drive:
@@ -82,6 +85,8 @@ def nothing_moves_without_a_zero(drive: Drive, config: RobotConfig) -> Iterator[
             yield f"{_when(now)}: setpoint grows, and nobody who commands has sent a zero"
         if now.outputs.mode in RESTING and (before is None or before.outputs.mode is not now.outputs.mode):
             zeros.begin(now.inputs.now_ns)
+        elif now.outputs.mode is Mode.IDLE:
+            zeros.forget_the_impatient()
         before = now
 
 
@@ -97,9 +102,11 @@ def no_steps(drive: Drive, config: RobotConfig) -> Iterator[str]:
         periods = (now.inputs.now_ns - before.inputs.now_ns) * 1e-9 * config.loop.rate
         if periods > PAUSE or now.outputs.mode is Mode.ESTOP:
             continue
-        told, heard = before.outputs.trace.wheel_setpoints, before.outputs.trace.wheel_speeds
-        for name, old, speed, new in zip(names, told, heard, now.outputs.trace.wheel_setpoints, strict=True):
-            if old is None or speed is None or new is None:
+        old_trace, trace = before.outputs.trace, now.outputs.trace
+        for index, (name, old, new) in enumerate(
+            zip(names, old_trace.wheel_setpoints, trace.wheel_setpoints, strict=True)
+        ):
+            if old is None or new is None or abs(new - old) <= STEP * config.limits.motor_speed[name]:
                 continue
             speed = trace.wheel_speeds[index]
             taken_up = old_trace.wheel_speeds[index] is None and (speed is None or abs(new - speed) < abs(old - speed))
@@ -174,6 +181,10 @@ class _Zeros:
         """The robot rests, was stopped or failed."""
         self._zeroed.clear()
         self._since_ns = now_ns
+
+    def forget_the_impatient(self) -> None:
+        """The robot has not started: a zero counts as long as nothing else follows it."""
+        self._zeroed = {name for name in self._zeroed if self._newest[name].twist == ZERO_TWIST}
 
     def receive(self, inputs: Inputs) -> None:
         """The commands of a cycle. Another sender needs a zero too, and so does an unstamped one after its timeout."""

@@ -4,8 +4,9 @@ How this works
 --------------
 A source may drive only after a zero of its own since the robot last came to rest, was stopped, failed or started:
 whoever takes the robot over has its stick in the middle. It loses that right when another sender appears under its
-name, and, unless its commands tell when they were sent, by a silence longer than its timeout: what comes after such a
-silence may be the past of a commander that is long dead.
+name, when it asks for motion before the robot has started (something keeps it from that, and may do so for long), and,
+unless its commands tell when they were sent, by a silence longer than its timeout: what comes after such a silence may
+be the past of a commander that is long dead.
 """
 
 from collections.abc import Sequence
@@ -51,6 +52,10 @@ class Arbiter:
         """The robot rests, was stopped or failed: every source has to send zero again, after this moment."""
         self._admitted.clear()
         self._dismissed_ns = now_ns
+
+    def dismiss_moving(self) -> None:
+        """Nothing has started: who asks for motion all the same has to send zero again."""
+        self._admitted = {name for name in self._admitted if self._latest[name].twist == ZERO_TWIST}
 
     def select(self, now_ns: int) -> Selection:
         """The source that drives at this moment."""

@@ -315,6 +315,8 @@ class Engine:
             ),
         )
         if mode is self._mode:
+            if mode is Mode.IDLE:
+                self._arbiter.dismiss_moving()
             return
         if mode is Mode.FAULT and overdue:
             self._latch_unarmed(unarmed)

@@ -218,6 +218,25 @@ def test_a_zero_that_is_followed_by_motion_in_the_same_cycle_starts_nothing() ->
     assert out.mode is IDLE
 
 
+@both
+def test_a_zero_before_the_robot_could_start_does_not_count_once_motion_followed(name: str) -> None:
+    """Autonomy sent its zero while motors were off, and went on; hours later teleop starts the robot and lets go."""
+    size = len(Stand(name).names)
+    stand = Stand(name, states=[SILENT] * size)
+    stand.cycle(ZERO_TWIST, source="autonomy")
+    stand.run(4.0, FORWARD)
+    stand.cycle(FORWARD, source="autonomy")
+    assert stand.is_in(IDLE)
+    stand.motors.states = [OPERATIONAL] * size
+    stand.cycle(ZERO_TWIST)
+    stand.cycle(ZERO_TWIST)
+    assert stand.is_in(DRIVE)
+    for _ in range(100):
+        stand.cycle(FORWARD, source="autonomy")
+    assert stand.is_in(IDLE)
+    assert stand.out.trace.setpoint == ZERO_TWIST
+
+
 def test_arming_takes_three_seconds_at_most_and_says_who_did_not_arm() -> None:
     stand = Stand("omni4", states=[READY, OPERATIONAL, MotorState.STARTING])
     assert stand.cycle(ZERO_TWIST).mode is STARTING
