@@ -376,6 +376,23 @@ def test_a_joint_that_jumps_is_not_believed_and_a_reset_does_not_change_that() -
     assert world.is_in(Mode.IDLE)
 
 
+def test_a_runaway_releases_every_motor_at_once_however_many_wheels_there_are() -> None:
+    """Two opposite wheels of omni4 with a wrong sign: the other two alone would be driven on, to 4.5 m/s."""
+    world = World("omni4")
+    world.start()
+    world.run(1.0, Twist(1.0, 0.0, 0.5))
+    for name in ("front_left", "rear_right"):
+        world.bus.robot.drivetrain(name).gain = -1.0
+    fastest = 0.0
+    for _ in range(250):
+        outputs = world.run(0.004, Twist(1.0, 0.0, 0.5))
+        fastest = max(fastest, world.true_speed())
+    assert "fault_runaway" in {event.code for event in world.events}
+    assert world.is_in(Mode.FAULT)
+    assert set(outputs.trace.wheel_setpoints) == {None}
+    assert fastest < 3.0
+
+
 def test_a_robot_that_stopped_while_its_bus_was_away_stays_at_rest() -> None:
     """A relay cut the supply of the motors meanwhile: what they were told before the bus went counts no more."""
     world = World("omni4")
