@@ -18,6 +18,7 @@ RESTING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})
 ROUNDING = 1e-9  # of a setpoint, m/s or rad/s
 STEP = 0.05  # of its top speed that a wheel's setpoint may move in one period; see `no_steps`
 PAUSE = 1.5  # periods between two cycles; from there on the loop paused
+DIP_NS = 2_000_000_000  # of silence that is forgiven to who tells when it sent
 RETURN_NS = 200_000_000  # for motors to be heard again when their bus is back
 STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
@@ -203,7 +204,8 @@ class _Zeros:
 
     def _is_another(self, before: TwistCommand, command: TwistCommand) -> bool:
         gap_ns = command.received_ns - before.received_ns
-        late = gap_ns > self._timeouts_ns[command.source] and not (command.stamped and before.stamped)
+        patience_ns = DIP_NS if command.stamped and before.stamped else 0
+        late = gap_ns > max(self._timeouts_ns[command.source], patience_ns)
         return late or command.sender != before.sender
 
 
