@@ -154,6 +154,17 @@ def test_a_joint_that_is_measured_at_rest_jumps_all_the_same() -> None:
     assert take(odometry, [1.0, 2.5, 2.7, 1.0], 50) == [2]
 
 
+def test_the_way_of_a_joint_that_was_silent_is_left_out() -> None:
+    """However short: its controller may have counted from zero again, near by."""
+    odometry = omni()
+    take(odometry, [1.0] * 4, 0)
+    take(odometry, [None] * 4, 1)
+    assert take(odometry, [1.2, 1.2, 0.8, 0.8], 2) == []
+    assert odometry.pose == Pose(0.0, 0.0, 0.0)
+    take(odometry, [1.3, 1.3, 0.7, 0.7], 3)
+    assert odometry.pose != Pose(0.0, 0.0, 0.0), "from then on it counts"
+
+
 def test_what_was_not_measured_meanwhile_may_have_turned_as_long() -> None:
     """The same position without a new measurement is no standing joint: 0.4 s at 200 rad/s are 80 rad, twice 160."""
     odometry = omni()
