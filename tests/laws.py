@@ -18,6 +18,7 @@ RESTING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})
 ROUNDING = 1e-9  # of a setpoint, m/s or rad/s
 STEP = 0.05  # of its top speed that a wheel's setpoint may move in one period; see `no_steps`
 PAUSE = 1.5  # periods between two cycles; from there on the loop paused
+DIP_NS = 2_000_000_000  # of silence that is forgiven to who tells when it sent
 RETURN_NS = 200_000_000  # for motors to be heard again when their bus is back
 STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
@@ -67,7 +68,10 @@ def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
 
 
 def nothing_moves_without_a_zero(drive: Drive, config: RobotConfig) -> Iterator[str]:
-    """Whoever drives has sent a zero of its own since the robot last entered IDLE, ESTOP or FAULT, or started."""
+    """Whoever drives has sent a zero of its own since the robot last entered IDLE, ESTOP or FAULT, or started.
+
+    A zero after which it asked for motion while the robot still lay in IDLE does not count.
+    """
     zeros = _Zeros(config)
     before: Moment | None = None
     for now in drive:
@@ -82,6 +86,8 @@ def nothing_moves_without_a_zero(drive: Drive, config: RobotConfig) -> Iterator[
             yield f"{_when(now)}: setpoint grows, and nobody who commands has sent a zero"
         if now.outputs.mode in RESTING and (before is None or before.outputs.mode is not now.outputs.mode):
             zeros.begin(now.inputs.now_ns)
+        elif now.outputs.mode is Mode.IDLE:
+            zeros.forget_the_impatient()
         before = now
 
 
@@ -90,15 +96,22 @@ def no_steps(drive: Drive, config: RobotConfig) -> Iterator[str]:
 
     In a period of 4 ms a fall back to the measured motion takes 2 %, a joint that turns under a fast robot at its own
     top speed 2.8 % (moby: 7 rad/s), the acceleration limits below 0.5 %.
+    A motor that was not heard in the cycle before was told nothing: it may go on from nearer to how it turns.
     """
     names = config.robot.motor_names()
     for before, now in pairs(drive):
         periods = (now.inputs.now_ns - before.inputs.now_ns) * 1e-9 * config.loop.rate
         if periods > PAUSE or now.outputs.mode is Mode.ESTOP:
             continue
-        setpoints = zip(names, before.outputs.trace.wheel_setpoints, now.outputs.trace.wheel_setpoints, strict=True)
-        for name, old, new in setpoints:
-            if old is not None and new is not None and abs(new - old) > STEP * config.limits.motor_speed[name]:
+        old_trace, trace = before.outputs.trace, now.outputs.trace
+        for index, (name, old, new) in enumerate(
+            zip(names, old_trace.wheel_setpoints, trace.wheel_setpoints, strict=True)
+        ):
+            if old is None or new is None or abs(new - old) <= STEP * config.limits.motor_speed[name]:
+                continue
+            speed = trace.wheel_speeds[index]
+            taken_up = old_trace.wheel_speeds[index] is None and (speed is None or abs(new - speed) < abs(old - speed))
+            if not taken_up:
                 yield f"{_when(now)}: {name} steps from {old:.4f} to {new:.4f} rad/s"
 
 
@@ -170,6 +183,10 @@ class _Zeros:
         self._zeroed.clear()
         self._since_ns = now_ns
 
+    def forget_the_impatient(self) -> None:
+        """The robot has not started: a zero counts as long as nothing else follows it."""
+        self._zeroed = {name for name in self._zeroed if self._newest[name].twist == ZERO_TWIST}
+
     def receive(self, inputs: Inputs) -> None:
         """The commands of a cycle. Another sender needs a zero too, and so does an unstamped one after its timeout."""
         for command in inputs.commands:
@@ -187,7 +204,8 @@ class _Zeros:
 
     def _is_another(self, before: TwistCommand, command: TwistCommand) -> bool:
         gap_ns = command.received_ns - before.received_ns
-        late = gap_ns > self._timeouts_ns[command.source] and not (command.stamped and before.stamped)
+        patience_ns = DIP_NS if command.stamped and before.stamped else 0
+        late = gap_ns > max(self._timeouts_ns[command.source], patience_ns)
         return late or command.sender != before.sender
 
 

@@ -237,7 +237,7 @@ SWINGING = [
     say(0.6, -0.8, 0.1, -0.5),
     fault(1.92, "bus_down", seconds=0.08),
 ]
-BUS_AWAY_WHILE_BRAKING = [say(0.0), say(0.6, 1.8), hush(2.4), fault(2.9, "bus_down", seconds=0.5)]
+HIT_WHILE_BRAKING = [say(0.0), say(0.6, 1.5), hush(2.4), fault(2.9, "push", value=-3000.0, seconds=0.02)]
 RESET_AT_ONCE = [
     say(0.0),
     say(0.6, 0.8),
@@ -259,7 +259,7 @@ ROWS = (
     Removed(STEPS, stop_at_once, "moby", 2.1, SILENCE),
     Removed(STEPS, release_the_proportion, "moby", 2.3, JOINT_JUMPS),
     Removed(STEPS, see_again_at_once, "moby", 2.2, SWINGING),
-    Removed(STEPS, fall_back_in_one_step, "omni4", 3.7, BUS_AWAY_WHILE_BRAKING),
+    Removed(STEPS, fall_back_in_one_step, "omni4", 3.7, HIT_WHILE_BRAKING),
     Removed(IDLE, keep_energised_in_idle, "omni4", 2.6, RESET_AT_ONCE),
     Removed(REST, fresh_for_ever, "omni4", 4.2, SILENCE, can_brake=True),
     Removed(REST, never_quiet, "omni4", 4.2, SILENCE, can_brake=True),

@@ -99,7 +99,8 @@ class TwistLimiter:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
-        `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow.
+        `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
+        is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
         """
         wanted, active = self._holdable(target)
         if dt <= 0.0 or (wanted == self.setpoint and self._rate == ZERO_TWIST):
@@ -114,10 +115,15 @@ class TwistLimiter:
             after = scale_to(_sum(before, self._rate, dt), self._velocity)
             active = (*active, "acceleration")
         if headroom < 1.0 and _grows(before, after):
-            after = _sum(before, _sum(after, before, -1.0), headroom)
-            self._rate = _scaled(self._rate, headroom)
+            after = self._hold_back(before, after, headroom)
         self.setpoint = after
         return after, active
+
+    def _hold_back(self, before: Twist, after: Twist, headroom: float) -> Twist:
+        """The step with this much of every axis that grows."""
+        shares = [headroom if abs(new) > abs(old) else 1.0 for old, new in zip(before, after, strict=True)]
+        self._rate = Twist(*[rate * share for rate, share in zip(self._rate, shares, strict=True)])
+        return Twist(*[old + share * (new - old) for old, new, share in zip(before, after, shares, strict=True)])
 
     def brake(self, dt: float) -> Twist:
         """Setpoint after dt seconds on its way to rest along its own direction: no axis ever grows.

@@ -4,8 +4,10 @@ How this works
 --------------
 A source may drive only after a zero of its own since the robot last came to rest, was stopped, failed or started:
 whoever takes the robot over has its stick in the middle. It loses that right when another sender appears under its
-name, and, unless its commands tell when they were sent, by a silence longer than its timeout: what comes after such a
-silence may be the past of a commander that is long dead.
+name, when it asks for motion before the robot has started (something keeps it from that, and may do so for long), and
+by a silence longer than its timeout: what comes after such a silence may be the past of a commander that is long dead.
+Where commands tell when they were sent it is not that, and a silence of LONGEST_DIP_NS is forgiven; whoever was gone
+for longer finds another world, perhaps with another source that drives.
 """
 
 from collections.abc import Sequence
@@ -13,6 +15,8 @@ from typing import NamedTuple
 
 from gateway.config import Source
 from gateway.types import ZERO_TWIST, SourceStatus, TwistCommand
+
+LONGEST_DIP_NS = 2_000_000_000  # a link that stalls, a process that swaps; source: ours
 
 
 class Selection(NamedTuple):
@@ -52,6 +56,10 @@ class Arbiter:
         self._admitted.clear()
         self._dismissed_ns = now_ns
 
+    def dismiss_moving(self) -> None:
+        """Nothing has started: who asks for motion all the same has to send zero again."""
+        self._admitted = {name for name in self._admitted if self._latest[name].twist == ZERO_TWIST}
+
     def select(self, now_ns: int) -> Selection:
         """The source that drives at this moment."""
         for name in self._timeout_ns:
@@ -80,8 +88,9 @@ class Arbiter:
             return False
         if command.sender != before.sender:
             return True
-        silent = command.received_ns - before.received_ns > self._timeout_ns[command.source]
-        return silent and not (command.stamped and before.stamped)
+        silent_ns = command.received_ns - before.received_ns
+        forgiven_ns = LONGEST_DIP_NS if command.stamped and before.stamped else 0
+        return silent_ns > max(self._timeout_ns[command.source], forgiven_ns)
 
     def _status(self, name: str, winner: str | None, now_ns: int) -> SourceStatus:
         command = self._latest.get(name)

@@ -93,6 +93,7 @@ class Engine:
         self._mode_since_ns = 0
         self._energised = False  # motors were armed and have not been released since
         self._rolled = False  # it rolled after an emergency stop had released it
+        self._unheard = False  # on the way to rest the setpoint went to nobody, and no motor has told its speed since
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
         self._measured = self._motors.measure(0, self._period)  # nothing yet
@@ -197,7 +198,7 @@ class Engine:
         measured = self._motors.measure(now_ns, dt)
         speeds = measured.speeds
         angles = self._trust.angles(measured.positions)
-        deltas, jumped = self._odometry.deltas(angles, now_ns)
+        deltas, jumped = self._odometry.deltas(angles, measured.ages_ns, now_ns)
         self._trust.watch(angles, jumped, now_ns)
         trusted = self._trust.trusted(angles)
         estimate = self._kinematics.twist(speeds, trusted)
@@ -323,6 +324,8 @@ class Engine:
             ),
         )
         if mode is self._mode:
+            if mode is Mode.IDLE:
+                self._arbiter.dismiss_moving()
             return
         if mode is Mode.FAULT and overdue:
             self._latch_unarmed(unarmed)
@@ -344,6 +347,7 @@ class Engine:
         self._mode = mode
         self._mode_since_ns = now_ns
         self._rolled = False
+        self._unheard = self._unheard and mode in BRAKING
         if mode in DISMISSING:
             self._arbiter.dismiss(now_ns)
         if mode is Mode.IDLE:
@@ -386,9 +390,19 @@ class Engine:
     def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
         if self._followed(health):
+            self._take_up(measured, health)
             self._limiter.brake(measured.dt)
+        else:
+            self._unheard = True
         if measured.estimate is not None:
             self._fall_back(measured.estimate.twist, measured.dt)
+
+    def _take_up(self, measured: Measured, health: Health) -> None:
+        """Motors that follow again go on from how they turn now: what they were told before they may have lost."""
+        share = self._motors.share_driven(measured, health.obeying) if self._unheard else None
+        if share is not None:
+            self._limiter.scale(share)
+            self._unheard = False
 
     def _followed(self, health: Health) -> bool:
         """Whether any motor obeys, as far as can be seen."""
@@ -401,7 +415,7 @@ class Engine:
         """Take the setpoint back to what is measured along its direction, where the robot is much slower than that."""
         setpoint, top = self._limiter.setpoint, self._velocity
         size = excess(setpoint, top)
-        if size == 0.0:
+        if size <= SLACK:  # nothing to take back; and the square of less than 1e-162 would be zero, to divide by
             return
         scaled = [s / limit for s, limit in zip(setpoint, top, strict=True)]
         along = dot(scaled, [m / limit for m, limit in zip(measured, top, strict=True)]) / dot(scaled, scaled)

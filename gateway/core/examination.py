@@ -18,6 +18,9 @@ STOPPING_REFUSAL_S = 5.0  # a robot that needs longer from top speed is not unde
 _COMPENSATION = 1.0986122886681098
 _UNIT = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
 _SIGNS = tuple(itertools.product((-1.0, 1.0), repeat=3))
+# Of a speed error, that a speed loop may take back in one cycle: beyond 2 the error grows from cycle to cycle, up to 1
+# it never changes its sign. Source: ours, half of what is stable.
+LOOP_GAIN_REFUSAL = 1.0
 _HEADINGS = 72  # joint angles at which the top speed of a steered chassis is looked for
 
 
@@ -75,6 +78,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             f"{STOPPING_REFUSAL_S:g} s: raise limits.acceleration or limits.jerk, or lower limits.velocity, "
             f"most of all those of {_slowest(config)}"
         )
+    overloaded += _wild_loops(config, robot)
     if overloaded:
         raise ConfigError(origin, overloaded)
     strained, torque_share = _torque_share(config, robot)
@@ -156,6 +160,30 @@ def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
             share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
             worst = max(worst, (name, share), key=lambda one: one[1])
     return worst
+
+
+def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:
+    """Speed loops that correct too much at once: with torque = kp error, error' = (1 - kp mobility / rate) error."""
+    mobility = max(_mobility(config, robot, turn) for turn in _turns(robot))
+    return [
+        f"motor {motor.name}: speed_loop.kp = {motor.speed_loop.kp:g}: takes back {gain:.0%} of a speed error in one "
+        f"cycle of loop.rate = {config.loop.rate:g} Hz; allowed up to {LOOP_GAIN_REFUSAL:.0%}, beyond 200% it swings "
+        "without end: lower kp or raise loop.rate"
+        for motor in config.motors_in_order()
+        if motor.speed_loop is not None
+        and (gain := motor.speed_loop.kp * mobility / config.loop.rate) > LOOP_GAIN_REFUSAL
+    ]
+
+
+def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
+    """Rad/s^2 per N m with which wheels give way at most, all of them on the ground: the lightest way to move."""
+    body = config.robot.body
+    scales = (1.0 / sqrt(body.mass), 1.0 / sqrt(body.mass), 1.0 / sqrt(body.inertia))
+    columns = [
+        [speed * scale for speed in _wheel_speeds(robot, axis, turn)] for axis, scale in zip(_UNIT, scales, strict=True)
+    ]
+    largest = decompose(tuple(zip(*columns, strict=True))).values[0]
+    return largest * largest / (1.0 + body.joint_inertia * largest * largest)
 
 
 def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusLoad:

@@ -193,7 +193,9 @@ class HealthMonitor:
         blind = {fault.subject for fault in faults.values() if fault.kind in BLIND}
         places = tuple(enumerate(self._names))
         return Health(
-            usable=tuple(name not in bad and index not in self._lost | set(self._away) for index, name in places),
+            usable=tuple(
+                not runaway and name not in bad and index not in self._lost | set(self._away) for index, name in places
+            ),
             obeying=tuple(not runaway and index not in self._lost for index, _ in places),
             brakable=tuple(not runaway and name not in blind for _, name in places),
             faults=tuple(faults.values()),

@@ -104,6 +104,19 @@ class Motors:
             lag = max(lag, abs(behind) / limits.speed)
         return min(1.0, max(0.0, (HEADROOM_TO - lag) / (HEADROOM_TO - HEADROOM_FROM)))
 
+    def share_driven(self, measured: Measured, obeying: Sequence[bool]) -> float | None:
+        """How much of the setpoints the obeying motors turn, 0 to 1; None: none of them was asked to turn."""
+        asked = driven = 0.0
+        for index, (setpoint, speed, limits) in enumerate(
+            zip(self.setpoints, measured.speeds, self._robot.limits, strict=True)
+        ):
+            obeys = obeying[index] and self.feedback[index].state is MotorState.OPERATIONAL
+            if obeys and setpoint is not None and speed is not None:
+                share = setpoint / limits.speed
+                asked += share * share
+                driven += share * speed / limits.speed
+        return min(1.0, max(0.0, driven / asked)) if asked > 0.0 else None
+
     def not_operational(self, usable: Sequence[bool]) -> list[int]:
         """Places of the usable motors that do not obey yet."""
         return [

@@ -23,7 +23,7 @@ _GYRO_VARIANCE_PER_SECOND = 1e-6  # rad^2/s
 _GYRO_VARIANCE_PER_RADIAN = 1e-4  # rad^2/rad
 _SLIP_CORRELATION = 1.0  # s; a slip goes on for about so long, so its error adds up over that time
 _SLIP_LEVER = 0.25  # m; turns an unexplained rim speed into a yaw rate error
-_LONGEST_GAP = 0.1  # s; a controller that reports more rarely counts as silent anyway
+_LONGEST_GAP = 0.5  # s; a controller that reports more rarely counts as silent anyway
 _JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
 _SMALL_ANGLE = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
 
@@ -55,7 +55,8 @@ class WheelOdometry:
         self._kinematics = kinematics
         self._top_speeds = tuple(top_speeds)
         self._positions: list[float | None] = [None] * len(self._top_speeds)
-        self._moved_ns: list[int] = [0] * len(self._top_speeds)
+        self._seen_ns: list[int] = [0] * len(self._top_speeds)  # cycles of the newest measurements
+        self._last_ns = 0
         self._unseen: set[int] = set()  # joints that fell silent since their position was last known
         self.pose = Pose(0.0, 0.0, 0.0)
         self._jumped: list[int] = []
@@ -70,16 +71,24 @@ class WheelOdometry:
         self._turning_slip_variance = 0.0
         self._gyro_variance = 0.0  # rad^2
 
-    def deltas(self, positions: Sequence[float | None], now_ns: int) -> tuple[list[float | None], list[int]]:
+    def deltas(
+        self, positions: Sequence[float | None], ages_ns: Sequence[int | None], now_ns: int
+    ) -> tuple[list[float | None], list[int]]:
         """Way of every joint since the last call, rad, and the joints that moved further than they can turn.
 
+        `ages_ns`: of the positions; how far a joint can turn counts from its last measurement, also from one at rest.
         The way of a joint that was silent is unknown and left out: its controller may have counted from zero again.
         """
         self._jumped = []
-        deltas = [
-            0.0 if position is not None and position == before else self._delta(index, position, now_ns)
-            for index, (position, before) in enumerate(zip(positions, self._positions, strict=True))
-        ]
+        fresh_ns, self._last_ns = now_ns - self._last_ns, now_ns
+        deltas: list[float | None] = []
+        for index, (position, age_ns) in enumerate(zip(positions, ages_ns, strict=True)):
+            if position is None or position != self._positions[index]:
+                deltas.append(self._delta(index, position, now_ns))
+                continue
+            deltas.append(0.0)
+            if age_ns is not None and age_ns < fresh_ns:
+                self._seen_ns[index] = now_ns
         return deltas, self._jumped
 
     def forget(self, index: int) -> None:
@@ -124,8 +133,8 @@ class WheelOdometry:
         if index in self._unseen:
             self._unseen.discard(index)
             before = None
-        elapsed = min((now_ns - self._moved_ns[index]) * 1e-9, _LONGEST_GAP)
-        self._positions[index], self._moved_ns[index] = position, now_ns
+        elapsed = min((now_ns - self._seen_ns[index]) * 1e-9, _LONGEST_GAP)
+        self._positions[index], self._seen_ns[index] = position, now_ns
         if before is None:
             return None
         delta = position - before

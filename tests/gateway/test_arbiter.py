@@ -58,7 +58,8 @@ def test_only_a_zero_admits_and_only_one_after_the_dismissal() -> None:
     [
         (command(0), command(100, twist=MOTION), True),
         (command(0), command(100.000001, twist=MOTION), False),
-        (command(0, stamped=True), command(5000, twist=MOTION, stamped=True), True),
+        (command(0, stamped=True), command(2000, twist=MOTION, stamped=True), True),
+        (command(0, stamped=True), command(2001, twist=MOTION, stamped=True), False),
         (command(0), command(101, twist=MOTION, stamped=True), False),
         (command(0, stamped=True), command(101, twist=MOTION), False),
         (command(0), command(1, twist=MOTION, sender="b"), False),

@@ -295,6 +295,17 @@ def test_a_robot_that_takes_too_long_to_stop_is_refused() -> None:
         examine(parse(text, "r"), "r")
 
 
+def test_a_speed_loop_that_swings_without_end_is_refused() -> None:
+    """omni4's wheels give way by 27.28 rad/s^2 per N m at most: 3.5 N m per rad/s take 477 % of an error in 50 ms."""
+    slow = robot_text("omni4", rate_hz=20.0)
+    words = r"motor front_left: speed_loop.kp = 3.5: takes back 477% of .* loop.rate = 20 Hz; allowed up to 100%"
+    with pytest.raises(ConfigError, match=words):
+        examine(parse(slow, "r"), "r")
+    with pytest.raises(ConfigError, match="takes back 101% of"):
+        examine(parse(robot_text("omni4").replace("kp = 3.5", "kp = 9.26"), "r"), "r")
+    examine(parse(robot_text("omni4").replace("kp = 3.5", "kp = 9.1"), "r"), "r")
+
+
 def test_what_a_stop_and_a_curve_ask_of_the_robot_is_told() -> None:
     moby, omni = (examine(parse(robot_text(name), name), name) for name in ("moby", "omni4"))
     assert 1.7 < moby.stopping_time_s < 3.0

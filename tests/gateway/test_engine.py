@@ -376,6 +376,55 @@ def test_a_joint_that_jumps_is_not_believed_and_a_reset_does_not_change_that() -
     assert world.is_in(Mode.IDLE)
 
 
+def test_a_runaway_releases_every_motor_at_once_however_many_wheels_there_are() -> None:
+    """Two opposite wheels of omni4 with a wrong sign: the other two alone would be driven on, to 4.5 m/s."""
+    world = World("omni4")
+    world.start()
+    world.run(1.0, Twist(1.0, 0.0, 0.5))
+    for name in ("front_left", "rear_right"):
+        world.bus.robot.drivetrain(name).gain = -1.0
+    fastest = 0.0
+    for _ in range(250):
+        outputs = world.run(0.004, Twist(1.0, 0.0, 0.5))
+        fastest = max(fastest, world.true_speed())
+    assert "fault_runaway" in {event.code for event in world.events}
+    assert world.is_in(Mode.FAULT)
+    assert set(outputs.trace.wheel_setpoints) == {None}
+    assert fastest < 3.0
+
+
+def test_a_robot_that_stopped_while_its_bus_was_away_stays_at_rest() -> None:
+    """A relay cut the supply of the motors meanwhile: what they were told before the bus went counts no more."""
+    world = World("omni4")
+    world.start()
+    world.run(2.0, Twist(1.5, 0.0, 0.0))
+    world.bus.fail("can0")
+    world.run(0.2)
+    for device in world.bus.robot.devices.values():
+        device.power_off()
+        device.power_on()
+    world.run(5.0)
+    assert world.true_speed() < 0.05
+    world.bus.restore("can0")
+    fastest = 0.0
+    for _ in range(100):
+        world.run(0.004)
+        fastest = max(fastest, world.true_speed())
+    assert fastest < 0.05
+
+
+def test_a_joint_that_jumps_while_it_stands_is_not_believed_either() -> None:
+    """However long it stood: nothing turns by 1.2 rad between two measurements of 4 ms."""
+    world = World("moby")
+    world.start()
+    world.run(1.0, ZERO_TWIST)
+    world.bus.robot.shift_encoder("platform", 1.2)
+    world.run(2.0, Twist(0.5, 0.0, 0.0))
+    assert world.is_in(Mode.FAULT)
+    assert world.true_speed() < 0.01
+    assert "fault_position_unknown" in {event.code for event in world.events}
+
+
 def test_wheels_saturate_together() -> None:
     """Both axes at once ask more of a wheel than it has: all are scaled, the direction stays."""
     world = World("moby")

@@ -223,6 +223,25 @@ def test_a_zero_that_is_followed_by_motion_in_the_same_cycle_starts_nothing() ->
     assert out.mode is IDLE
 
 
+@both
+def test_a_zero_before_the_robot_could_start_does_not_count_once_motion_followed(name: str) -> None:
+    """Autonomy sent its zero while motors were off, and went on; hours later teleop starts the robot and lets go."""
+    size = len(Stand(name).names)
+    stand = Stand(name, states=[SILENT] * size)
+    stand.cycle(ZERO_TWIST, source="autonomy")
+    stand.run(4.0, FORWARD)
+    stand.cycle(FORWARD, source="autonomy")
+    assert stand.is_in(IDLE)
+    stand.motors.states = [OPERATIONAL] * size
+    stand.cycle(ZERO_TWIST)
+    stand.cycle(ZERO_TWIST)
+    assert stand.is_in(DRIVE)
+    for _ in range(100):
+        stand.cycle(FORWARD, source="autonomy")
+    assert stand.is_in(IDLE)
+    assert stand.out.trace.setpoint == ZERO_TWIST
+
+
 def test_arming_takes_three_seconds_at_most_and_says_who_did_not_arm() -> None:
     stand = Stand("omni4", states=[READY, OPERATIONAL, MotorState.STARTING])
     assert stand.cycle(ZERO_TWIST).mode is STARTING
@@ -419,6 +438,7 @@ def test_slip_is_named() -> None:
         (Twist(1.0, 0.0, 0.0), Twist(0.79, 1.0, 1.0), 1.0, 0.99),
         (Twist(1.0, 0.75, 2.0), Twist(0.5, 0.375, -1.0), 1.0, 1 / 6 + 0.2),
         (ZERO_TWIST, Twist(0.2, 0.0, 0.0), 0.004, 1.0),
+        (Twist(1e-170, 0.0, 0.0), Twist(0.2, 0.0, 0.0), 0.004, 1.0),  # the tail of a filter; its square is zero
     ],
 )
 def test_a_braking_setpoint_falls_back_to_what_is_measured(
@@ -457,6 +477,26 @@ def test_the_setpoint_waits_while_nobody_follows(name: str) -> None:
     seen = [stand.cycle(FORWARD) for _ in range(10)]
     assert {out.trace.setpoint for out in seen} == {before}
     assert {out.mode for out in seen} == {FAULT}
+
+
+@both
+@pytest.mark.parametrize("heard", [1, 3])
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_motors_that_follow_again_go_on_from_how_they_turn(name: str, heard: int, share: float) -> None:
+    """Whatever stopped them meanwhile; and who is heard first is enough to know."""
+    stand = Stand(name)
+    stand.drive()
+    size = len(stand.names)
+    stand.motors.states = [SILENT] * size
+    stand.cycle(FORWARD, bus=BusEventKind.DOWN)
+    for _ in range(10):
+        stand.cycle(FORWARD)
+    waiting, told = stand.out.trace.setpoint, stand.setpoints
+    stand.motors.states = [OPERATIONAL] * heard + [SILENT] * (size - heard)
+    stand.motors.measured = {index: share * (speed or 0.0) for index, speed in enumerate(told)}
+    stand.cycle(FORWARD, bus=BusEventKind.UP)
+    assert stand.out.mode is FAULT
+    assert share * waiting.vx - 0.01 < stand.out.trace.setpoint.vx <= share * waiting.vx + 1e-12
 
 
 # measurement

@@ -105,22 +105,22 @@ def look(health: HealthMonitor, samples: Iterable[Sample], *, feedback: MotorFee
 
 
 @pytest.mark.parametrize(
-    ("kind", "obeying", "brakable"),
+    ("kind", "usable", "obeying", "brakable"),
     [
-        (FaultKind.STALL, (True, True), (True, True)),
-        (FaultKind.FOLLOWING, (True, True), (True, True)),
-        (FaultKind.FROZEN, (False, True), (False, True)),
-        (FaultKind.RUNAWAY, (False, False), (False, False)),
+        (FaultKind.STALL, (False, True), (True, True), (True, True)),
+        (FaultKind.FOLLOWING, (False, True), (True, True), (True, True)),
+        (FaultKind.FROZEN, (False, True), (False, True), (False, True)),
+        (FaultKind.RUNAWAY, (False, False), (False, False), (False, False)),
     ],
 )
 def test_what_each_detector_takes_from_a_motor(
-    kind: FaultKind, obeying: tuple[bool, ...], brakable: tuple[bool, ...]
+    kind: FaultKind, usable: tuple[bool, ...], obeying: tuple[bool, ...], brakable: tuple[bool, ...]
 ) -> None:
     health = monitor()
     assert look(health, SAMPLES[kind][:-1]).faults == ()
     found = look(health, SAMPLES[kind][-1:])
     assert [(fault.kind, fault.subject, fault.latched) for fault in found.faults] == [(kind, "left", True)]
-    assert found[:3] == ((False, True), obeying, brakable)
+    assert found[:3] == (usable, obeying, brakable)
     assert look(health, [RESTING])[:3] == found[:3], "latched"
 
 

@@ -37,6 +37,20 @@ def test_motors_that_give_all_their_torque_hold_the_setpoint_back() -> None:
     assert world.is_in(Mode.DRIVE)
 
 
+def test_an_overloaded_robot_obeys_a_command_for_less() -> None:
+    """60 kg on a slope of 0.5 rad ask 282 N of wheels that have 205 N: nothing may grow, but forward has to fall."""
+    world = World("omni4")
+    world.start()
+    world.run(2.0, Twist(1.5, 0.0, 0.0))
+    world.bus.robot.set_mass(60.0)
+    world.bus.robot.set_slope(0.5)
+    world.run(0.5, Twist(1.5, 0.0, 0.0))
+    world.run(1.5, Twist(0.2, 0.3, 0.0))
+    assert world.is_in(Mode.DRIVE)
+    assert "torque" in limits_at_work(world.records[-10:])
+    assert world.last.trace.setpoint.vx <= 0.2
+
+
 def test_a_light_robot_is_held_back_by_nothing_but_its_limits() -> None:
     world = World("omni4")
     world.start()

@@ -185,6 +185,8 @@ COURSES = {
     "headroom": (ZERO_TWIST, Twist(-9, 0, 0), SOFT, 1.0, {"headroom": 0.25}, [(-0.25, 0, 0), (-0.5625, 0, 0)]),
     "no headroom": (Twist(5, 0, 0), Twist(9, 0, 0), HARD, 1.0, {"headroom": 0.0}, [(5, 0, 0), (5, 0, 0)]),
     "no headroom, slower": (Twist(-5, 0, 0), Twist(-1, 0, 0), HARD, 1.0, {"headroom": 0.0}, [(-3, 0, 0), (-1, 0, 0)]),
+    "little headroom, less": (Twist(5, 0, 0), Twist(3, 1, 0), HARD, 1.0, {"headroom": 0.25}, [(3, 0.25, 0)]),
+    "no headroom, less": (Twist(0, -5, 0), Twist(-1, -3, 0), HARD, 1.0, {"headroom": 0.0}, [(0, -3, 0), (0, -3, 0)]),
     # In a curve 1 m/s^2 along y is taken: what pushes outwards has 4 - 1 = 3, inwards and along x all.
     "brake in a curve": (Twist(2, 0, 1), Twist(0, 0, 1), HARD, 0.1, {}, [(1.8, 0, 1), (1.6, 0, 1)]),
     "inwards": (Twist(1, 0, 1), Twist(1, -1, 1), HARD, 0.1, {}, [(1, -0.4, 1)]),

@@ -24,9 +24,10 @@ def take(
     *,
     residual: float = 0.0,
     heading: float | None = None,
+    age_ns: int = 0,
 ) -> list[int]:
-    """One cycle; the joints that jumped."""
-    deltas, jumped = odometry.deltas(positions, step * STEP_NS)
+    """One cycle; the joints that jumped. `age_ns`: of all positions."""
+    deltas, jumped = odometry.deltas(positions, [age_ns] * len(positions), step * STEP_NS)
     odometry.update(deltas, positions, residual=residual, dt=0.004, heading=heading)
     return jumped
 
@@ -143,6 +144,34 @@ def test_a_late_frame_costs_nothing() -> None:
     for step in (0, 1, 2, 20, 21):
         take(odometry, [rate * step * 0.004 for rate in rates], step)
     assert odometry.pose.x == pytest.approx(0.084)
+
+
+def test_a_joint_that_is_measured_at_rest_jumps_all_the_same() -> None:
+    """200 rad/s of top speed are 0.8 rad in 4 ms, allowed twice; for how long the joint stood before says nothing."""
+    odometry = omni()
+    for step in range(50):
+        take(odometry, [1.0] * 4, step)
+    assert take(odometry, [1.0, 2.5, 2.7, 1.0], 50) == [2]
+
+
+def test_the_way_of_a_joint_that_was_silent_is_left_out() -> None:
+    """However short: its controller may have counted from zero again, near by."""
+    odometry = omni()
+    take(odometry, [1.0] * 4, 0)
+    take(odometry, [None] * 4, 1)
+    assert take(odometry, [1.2, 1.2, 0.8, 0.8], 2) == []
+    assert odometry.pose == Pose(0.0, 0.0, 0.0)
+    take(odometry, [1.3, 1.3, 0.7, 0.7], 3)
+    assert odometry.pose != Pose(0.0, 0.0, 0.0), "from then on it counts"
+
+
+def test_what_was_not_measured_meanwhile_may_have_turned_as_long() -> None:
+    """The same position without a new measurement is no standing joint: 0.4 s at 200 rad/s are 80 rad, twice 160."""
+    odometry = omni()
+    take(odometry, [1.0] * 4, 0)
+    for step in range(1, 100):
+        take(odometry, [1.0] * 4, step, age_ns=step * STEP_NS)
+    assert take(odometry, [1.0, 160.0, 162.0, 1.0], 100) == [2]
 
 
 def test_unknown_positions_are_not_zero() -> None:

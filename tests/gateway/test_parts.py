@@ -4,6 +4,7 @@ import os
 import socket
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,7 +26,15 @@ def test_the_speed_loop_does_not_wind_up() -> None:
     for _ in range(2500):
         assert loop.torque(10.0, 0.0, 0.004) == 4.5
     assert loop.torque(0.0, 0.0, 0.004) < 4.5
-    assert loop.torque(0.0, None, 0.004) == 0.0
+
+
+def test_the_speed_loop_does_not_drive_a_wheel_whose_speed_is_unknown() -> None:
+    """Nor does it go on afterwards from what it had summed up: kp 2 and ki 4 of an error of 1 in 4 ms are 2.016."""
+    loop = SpeedLoop(kp=2.0, ki=4.0, max_torque=4.5)
+    for _ in range(100):
+        loop.torque(1.0, 0.0, 0.004)
+    assert loop.torque(1.0, None, 0.004) == 0.0
+    assert loop.torque(1.0, 0.0, 0.004) == pytest.approx(2.016)
 
 
 def test_transmission_applies_ratio_sign_and_zero_once() -> None:

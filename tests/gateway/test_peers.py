@@ -114,7 +114,7 @@ def odometry(given: Given) -> Pose:
     angles = [0.0] * len(ways)
     one = WheelOdometry(chassis(given), top_speeds=[1e3] * len(ways))
     for step, (positions, heading) in enumerate(((angles, before), (ways, after)), start=1):
-        deltas, jumped = one.deltas(positions, step * STEP_NS)
+        deltas, jumped = one.deltas(positions, [0] * len(positions), step * STEP_NS)
         assert not jumped
         one.update(deltas, positions, residual=None, dt=1.0, heading=heading)
     return one.pose

@@ -160,10 +160,10 @@ def test_what_two_share_is_shared_again() -> None:
     world = World("moby")
     world.start()
     odometry = world.engine._odometry
-    odometry._jumped = odometry._moved_ns
+    odometry._jumped = odometry._seen_ns
     restored = Engine(world.config, stored(world.engine.snapshot()))._odometry
-    assert restored._jumped is restored._moved_ns
-    assert restored._moved_ns == odometry._moved_ns
+    assert restored._jumped is restored._seen_ns
+    assert restored._seen_ns == odometry._seen_ns
     assert restored._positions is not odometry._positions
 
 
