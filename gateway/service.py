@@ -20,6 +20,7 @@ from typing import Protocol, TypeVar
 from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_time
+from gateway.core.channels import Layout
 from gateway.core.engine import Engine
 from gateway.core.snapshot import State
 from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
@@ -41,6 +42,7 @@ from gateway.types import (
     Request,
     RequestKind,
     Status,
+    Trace,
     TwistCommand,
 )
 
@@ -118,6 +120,8 @@ class Service:
         after_cycle: Callable[[int, Outputs], None] | None = None,
     ) -> None:
         self._engine = Engine(config)
+        self._channels = Layout(config.robot.motor_names())
+        self._trace: Trace | None = None  # of the newest cycle
         self._bus = bus
         self._link = link
         self._recorder = recorder
@@ -201,6 +205,7 @@ class Service:
         )
         outputs = self._engine.step(inputs)
         self._bus.send(outputs.frames, now_ns)
+        self._trace = outputs.trace
         self._cycle += 1
         self._tell(outputs, now_ns)
         wall_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
@@ -277,7 +282,8 @@ class Service:
         recording = self._try(self._recorder.health, none, self._lose_recorder)
         if self._recorder_error is not None:
             recording = recording | {"error": self._recorder_error}
-        return {"recording": recording, "estop_latch": self._latch.health()}
+        channels = none if self._trace is None else self._channels.named(self._trace)
+        return {"recording": recording, "estop_latch": self._latch.health(), "channels": channels}
 
     # edges that may have gone
 

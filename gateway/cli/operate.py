@@ -215,8 +215,10 @@ def watch(
     connect: Connect = None,
     once: Annotated[bool, typer.Option("--once", help="Print the table once.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the state once, as the robot publishes it.")] = False,
+    channels: Annotated[bool, typer.Option("--channels", help="Show every number that is recorded for plots.")] = False,
 ) -> None:
     """Live table of a running robot; Ctrl-C ends it."""
+    table = _channel_table if channels else _table
     with open_client(name, connect) as client:
         events: list[EventMessage] = []
         if once or json:
@@ -227,16 +229,24 @@ def watch(
             if json:
                 print_json(state_document(state))
             else:
-                console.print(_table(name, client, state, events))
+                console.print(table(name, client, state, events))
             return
         try:
-            with Live(_table(name, client, None, events), console=console, refresh_per_second=10) as live:
+            with Live(table(name, client, None, events), console=console, refresh_per_second=10) as live:
                 while True:
                     events = [*events, *client.events()][-_EVENTS_SHOWN:]
-                    live.update(_table(name, client, client.state(), events))
+                    live.update(table(name, client, client.state(), events))
                     time.sleep(0.1)
         except KeyboardInterrupt:
             return
+
+
+def _channel_table(name: str, client: Client, state: StateMessage | None, _: list[EventMessage]) -> Table:
+    table = Table("channel", "value", title=f"{name}: {mode_words(client)}")
+    numbers = state.extras.get("channels") if state is not None else None
+    for label, number in numbers.items() if isinstance(numbers, dict) else ():
+        table.add_row(str(label), "-" if number is None else f"{number:z.4f}")
+    return table
 
 
 def _table(name: str, client: Client, state: StateMessage | None, events: list[EventMessage]) -> Table:

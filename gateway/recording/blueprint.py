@@ -1,20 +1,19 @@
 """The layout with which the viewer opens a session."""
 
+from collections.abc import Sequence
+
 import rerun.blueprint as rrb
 
+from gateway.core.channels import plots
 from gateway.recording.schema import CYCLE, WALL
 from gateway.recording.shapes import BODY, PATH, WORLD
 from gateway.recording.views import (
     CAN_IN,
     CAN_OUT,
-    COMMAND_AGE,
+    CHANNELS_ROOT,
     EVENTS,
     LOOP,
     MODE,
-    POSE,
-    RESIDUAL,
-    TWIST_MEASURED,
-    TWIST_TARGET,
 )
 
 PATH_SECONDS = 120.0
@@ -24,29 +23,19 @@ _CAN_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["b
 
 
 def blueprint(*, eye_height: float) -> rrb.Blueprint:
-    """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom."""
+    """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom.
+
+    The first plot of the channels has a place of its own, the others share one, the second of them on top.
+    """
+    wheels, *others = (_plot(name, shown) for name, shown in plots().items())
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
                 _from_above(eye_height),
                 rrb.Vertical(
-                    rrb.TimeSeriesView(origin="/trace/wheels", name="Wheel speeds [rad/s]", plot_legend=_LEGEND),
-                    rrb.Tabs(
-                        rrb.TimeSeriesView(
-                            origin="/trace/twist",
-                            contents=[TWIST_TARGET, TWIST_MEASURED],
-                            name="Body velocity [m/s, rad/s]",
-                            plot_legend=_LEGEND,
-                        ),
-                        rrb.TimeSeriesView(origin=POSE, name="Pose"),
-                        rrb.TimeSeriesView(origin=RESIDUAL, name="Slip residual"),
-                        active_tab=0,
-                    ),
-                    rrb.Tabs(
-                        rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]", plot_legend=_LEGEND),
-                        rrb.TimeSeriesView(origin=COMMAND_AGE, name="Command age"),
-                        active_tab=0,
-                    ),
+                    wheels,
+                    rrb.Tabs(*others, active_tab=0),
+                    rrb.TimeSeriesView(origin=LOOP, name="Loop timing [ms]", plot_legend=_LEGEND),
                     row_shares=[3, 3, 2],
                 ),
                 column_shares=[2, 3],
@@ -68,6 +57,11 @@ def blueprint(*, eye_height: float) -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _plot(name: str, shown: Sequence[str]) -> rrb.TimeSeriesView:
+    paths = [f"{CHANNELS_ROOT}/{entity}" for entity in shown]
+    return rrb.TimeSeriesView(origin=CHANNELS_ROOT, contents=paths, name=name, plot_legend=_LEGEND)
 
 
 def _from_above(eye_height: float) -> rrb.Spatial3DView:

@@ -16,20 +16,15 @@ import rerun as rr
 
 from drivers.contract import CanFrame
 from gateway.config import RobotConfig
+from gateway.core.channels import Layout, entities
 from gateway.core.frame_words import FrameWords
 from gateway.recording.columns import Integers, Times
 from gateway.recording.packets import Gap, Record
 from gateway.recording.shapes import CHASSIS_PATH, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
 from gateway.types import Event, Level, Mode, Pose, Trace, Twist
 
-WHEELS = "/trace/wheels"
-TWIST_TARGET = "/trace/twist/target"
-TWIST_SETPOINT = "/trace/twist/setpoint"
-TWIST_MEASURED = "/trace/twist/measured"
-POSE = "/trace/pose"
+CHANNELS_ROOT = "/trace"
 LOOP = "/trace/loop"
-COMMAND_AGE = "/trace/command_age"
-RESIDUAL = "/trace/residual"
 MODE = "/trace/mode"
 EVENTS = "/trace/events"
 CAN_IN = "/trace/can/in"
@@ -55,7 +50,6 @@ _LEVELS = {
     Level.WARNING: rr.TextLogLevel.WARN,
     Level.ERROR: rr.TextLogLevel.ERROR,
 }
-_NAN3 = (np.nan,) * 3
 
 Floats = npt.NDArray[np.float64]
 FrameKey = tuple[object, ...]  # bus and id
@@ -68,6 +62,8 @@ class Views:
         self._config = config
         self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = next((i for i, kind in enumerate(self._names) if kind == _platform(config)), None)
+        self._entities = entities()  # each costs a kilobyte per batch
+        self._layouts = {entity: Layout(self._names, channels) for entity, channels in self._entities.items()}
         self._mode: Mode | None = None
         self._words = FrameWords(config)
         self._plot = self._picture = self._slot = -1
@@ -78,16 +74,13 @@ class Views:
     def begin(self, recording: rr.RecordingStream) -> None:
         """Everything static, which Rerun keeps only in the segment it was sent to."""
         self._mode = None
-        asked, measured = ([f"{name} {what}" for name in self._names] for what in ("commanded", "measured"))
-        _lines(recording, WHEELS, measured, asked=asked)  # one entity: each costs a kilobyte per batch
-        axes = ("vx", "vy", "wz")
-        _lines(recording, TWIST_TARGET, [], asked=[f"{axis} wanted" for axis in axes])
-        _lines(recording, TWIST_SETPOINT, [], asked=[f"{axis} limited" for axis in axes])
-        _lines(recording, TWIST_MEASURED, [f"{axis} measured" for axis in axes])
-        _lines(recording, POSE, ["x [m]", "y [m]", "theta [rad]"])
+        for entity, channels in self._entities.items():
+            asked, measured = (
+                [label for channel in channels if channel.asked is wanted for label in channel.labels(self._names)]
+                for wanted in (True, False)
+            )
+            _lines(recording, f"{CHANNELS_ROOT}/{entity}", measured, asked=asked)
         _lines(recording, LOOP, ["late [ms]", "work [ms]"])
-        _lines(recording, COMMAND_AGE, ["age of the command [s]"])
-        _lines(recording, RESIDUAL, ["slip residual [m/s]"])
         words = [mode.value for mode in MODE_COLOURS]
         styles = rr.StateConfiguration(
             values=words, labels=words, colors=np.array(list(MODE_COLOURS.values()), np.uint32)
@@ -108,20 +101,11 @@ class Views:
         self._send_can(recording, records, times)
         self._send_pictures(recording, traces, times)
 
-    @staticmethod
-    def _send_plots(recording: rr.RecordingStream, traces: Sequence[Trace], when: list[rr.TimeColumn]) -> None:
-        for path, values in (
-            (WHEELS, [(*trace.wheel_setpoints, *trace.wheel_speeds) for trace in traces]),
-            (TWIST_TARGET, [trace.target for trace in traces]),
-            (TWIST_SETPOINT, [trace.setpoint for trace in traces]),
-            (TWIST_MEASURED, [trace.measured or _NAN3 for trace in traces]),
-            (POSE, [trace.pose for trace in traces]),
-            (COMMAND_AGE, [(trace.winner_age_s,) for trace in traces]),
-            (RESIDUAL, [(trace.residual,) for trace in traces]),
-        ):
-            numbers = np.array(values, np.float64)  # None becomes NaN, which is a hole in the line
+    def _send_plots(self, recording: rr.RecordingStream, traces: Sequence[Trace], when: list[rr.TimeColumn]) -> None:
+        for entity, layout in self._layouts.items():
+            numbers = np.array([layout.row(trace) for trace in traces], np.float64)  # None: NaN, a hole in the line
             if not np.isnan(numbers).all():
-                recording.send_columns(path, when, rr.Scalars.columns(scalars=numbers))
+                recording.send_columns(f"{CHANNELS_ROOT}/{entity}", when, rr.Scalars.columns(scalars=numbers))
 
     @staticmethod
     def _send_loop(

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from drivers.contract import CanFrame
 from gateway.config import parse
+from gateway.core.channels import Layout
 from gateway.core.frame_words import FrameWords
-from gateway.types import Inputs, Outputs, Twist
+from gateway.types import Inputs
 from replay.compare.replay import Replay
 from replay.sessions.reader import Session
 
 Cell = int | float | str | None
-_NONE = (None, None, None)
 
 
 class Told(NamedTuple):
@@ -28,21 +28,21 @@ class Told(NamedTuple):
 def columns(session: Session) -> list[str]:
     """Names of the cells of `rows`; motors in chassis order. Raises ConfigError."""
     motors = parse(session.config_text, "robot file of the session").robot.motor_names()
-    names = ["cycle", "t", "mode"]
-    names += [f"{axis}_{what}" for what in ("cmd", "set", "measured") for axis in Twist._fields]
-    names += ["x", "y", "theta", "age", "residual"]
-    return names + [f"{what}.{motor}" for what in ("set", "speed", "position") for motor in motors]
+    return ["cycle", "t", "mode", *Layout(motors).labels]
 
 
 def rows(session: Session) -> Iterator[list[Cell]]:
     """One row per cycle that can be replayed, SI, None where something is unknown or released. Raises ConfigError."""
-    replay = Replay(parse(session.config_text, "robot file of the session"), session)
+    config = parse(session.config_text, "robot file of the session")
+    replay, layout = Replay(config, session), Layout(config.robot.motor_names())
     first_ns = None
     for inputs, _ in session.cycles():
         first_ns = inputs.now_ns if first_ns is None else first_ns
         engine = replay.engine(inputs)
         if engine is not None:
-            yield _row(inputs, engine.step(inputs), (inputs.now_ns - first_ns) * 1e-9)
+            outputs = engine.step(inputs)
+            t = (inputs.now_ns - first_ns) * 1e-9
+            yield [inputs.cycle, t, outputs.mode.value, *layout.row(outputs.trace)]
 
 
 def frames(session: Session) -> Iterator[Told]:
@@ -58,10 +58,3 @@ def frames(session: Session) -> Iterator[Told]:
 
 def _time_ns(frame: CanFrame, inputs: Inputs) -> int:
     return inputs.now_ns if frame.received_ns is None else frame.received_ns
-
-
-def _row(inputs: Inputs, outputs: Outputs, t: float) -> list[Cell]:
-    trace = outputs.trace
-    body = (*trace.target, *trace.setpoint, *(trace.measured or _NONE), *trace.pose, trace.winner_age_s, trace.residual)
-    motors = (*trace.wheel_setpoints, *trace.wheel_speeds, *trace.wheel_positions)
-    return [inputs.cycle, t, outputs.mode.value, *body, *motors]

@@ -1,0 +1,92 @@
+"""The quantities of each cycle that people look at: name, unit, plot and where it is in the trace, each told once.
+
+The recording's plots, the viewer's layout, `drivegate replay trace` and `drivegate watch --channels` all go by this
+table: a new quantity is a field of `Trace`, and a row here.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from gateway.types import Trace
+
+Numbers = Sequence[float | None]
+
+AXES = ("vx", "vy", "wz")
+
+
+class Channel(NamedTuple):
+    """One number or several of a kind. A name that ends in a dot is followed by the name of each motor.
+
+    `entity`: where it is in the recording, several may share one; `plot`: the view that shows it, "" for none.
+    `asked`: what was wanted and not what was measured, which is drawn beneath it.
+    """
+
+    entity: str
+    names: tuple[str, ...]
+    unit: str
+    plot: str
+    read: Callable[[Trace], Numbers | None]
+    asked: bool = False
+
+    def labels(self, motors: Sequence[str]) -> list[str]:
+        """One name per number, motors in chassis order."""
+        (first, *_) = self.names
+        return [f"{first}{motor}" for motor in motors] if first.endswith(".") else list(self.names)
+
+    def numbers(self, trace: Trace, size: int) -> Numbers:
+        """As many numbers as there are labels, None where something is unknown or released."""
+        found = self.read(trace)
+        return (None,) * size if found is None else found
+
+
+def _of_axes(what: str) -> tuple[str, ...]:
+    return tuple(f"{axis}_{what}" for axis in AXES)
+
+
+VELOCITY, WHEELS = "Body velocity [m/s, rad/s]", "Wheel speeds [rad/s]"
+CHANNELS = (
+    Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True),
+    Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds),
+    Channel("twist/target", _of_axes("wanted"), "m/s, rad/s", VELOCITY, lambda trace: trace.target, asked=True),
+    Channel("twist/setpoint", _of_axes("limited"), "m/s, rad/s", "", lambda trace: trace.setpoint, asked=True),
+    Channel("twist/measured", _of_axes("measured"), "m/s, rad/s", VELOCITY, lambda trace: trace.measured),
+    Channel("pose", ("x", "y", "theta"), "m, rad", "Pose [m, rad]", lambda trace: trace.pose),
+    Channel("residual", ("residual",), "m/s", "Slip residual [m/s]", lambda trace: (trace.residual,)),
+    Channel("command_age", ("command_age",), "s", "Command age [s]", lambda trace: (trace.winner_age_s,)),
+)
+POSITIONS = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)  # not plotted: `replay trace`
+
+
+class Layout:
+    """Every channel of one robot as one flat row."""
+
+    def __init__(self, motors: Sequence[str], channels: Sequence[Channel] = (*CHANNELS, POSITIONS)) -> None:
+        self._channels = [(channel, len(channel.labels(motors))) for channel in channels]
+        self.labels = [label for channel in channels for label in channel.labels(motors)]
+
+    def row(self, trace: Trace) -> list[float | None]:
+        """The numbers of a cycle, in the order of the labels."""
+        return [number for channel, size in self._channels for number in channel.numbers(trace, size)]
+
+    def named(self, trace: Trace) -> dict[str, object]:
+        """The same by label."""
+        return dict(zip(self.labels, self.row(trace), strict=True))
+
+
+def entities(channels: Sequence[Channel] = CHANNELS) -> dict[str, list[Channel]]:
+    """Channels by the entity that they share in the recording, in their order."""
+    found: dict[str, list[Channel]] = {}
+    for channel in channels:
+        found.setdefault(channel.entity, []).append(channel)
+    return found
+
+
+def plots(channels: Sequence[Channel] = CHANNELS) -> dict[str, list[str]]:
+    """Entities by the plot that shows them, in their order."""
+    found: dict[str, list[str]] = {}
+    for channel in channels:
+        shown = found.setdefault(channel.plot, [])
+        if channel.entity not in shown:
+            shown.append(channel.entity)
+    found.pop("", None)
+    return found
