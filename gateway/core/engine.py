@@ -335,7 +335,9 @@ class Engine:
         return self._first_ns is not None and now_ns - self._first_ns >= ANSWER_TIME_NS
 
     def _rested(self, now_ns: int) -> bool:
-        return not self._energised or self._standstill.rested(now_ns)
+        if self._energised:
+            return self._standstill.rested(now_ns)
+        return self._standstill.standing is not False  # released, but perhaps too early: not all wheels were heard
 
     def _latch_unarmed(self, unarmed: Sequence[int]) -> None:
         for index in unarmed:

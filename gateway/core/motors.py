@@ -11,6 +11,7 @@ from gateway.types import MotorStatus
 
 STANDSTILL = 0.005  # of the motor's top speed
 SATURATED = 0.98  # of the torque limit
+TAKE_UP_FROM = 0.02  # of top speed; less is no step, whatever becomes of it
 _SPEEDS = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
 HEADROOM_FROM, HEADROOM_TO = 0.05, 0.08  # of top speed: lag at which the setpoint may grow slower, and not at all
 
@@ -105,17 +106,19 @@ class Motors:
         return min(1.0, max(0.0, (HEADROOM_TO - lag) / (HEADROOM_TO - HEADROOM_FROM)))
 
     def share_driven(self, measured: Measured, obeying: Sequence[bool]) -> float | None:
-        """How much of the setpoints the obeying motors turn, 0 to 1; None: none of them was asked to turn."""
-        asked = driven = 0.0
-        for index, (setpoint, speed, limits) in enumerate(
-            zip(self.setpoints, measured.speeds, self._robot.limits, strict=True)
-        ):
-            obeys = obeying[index] and self.feedback[index].state is MotorState.OPERATIONAL
-            if obeys and setpoint is not None and speed is not None:
-                share = setpoint / limits.speed
-                asked += share * share
-                driven += share * speed / limits.speed
-        return min(1.0, max(0.0, driven / asked)) if asked > 0.0 else None
+        """How much of its setpoint the motor turns that has kept most of it, 0 to 1; so none is braked by a step.
+
+        Of the motors that obey and were asked for more than TAKE_UP_FROM; None: there are none.
+        """
+        shares = [
+            speed / setpoint
+            for setpoint, speed, ok, feedback, limits in zip(
+                self.setpoints, measured.speeds, obeying, self.feedback, self._robot.limits, strict=True
+            )
+            if ok and feedback.state is MotorState.OPERATIONAL
+            if setpoint is not None and speed is not None and abs(setpoint) > TAKE_UP_FROM * limits.speed
+        ]
+        return min(1.0, max(0.0, *shares)) if shares else None
 
     def not_operational(self, usable: Sequence[bool]) -> list[int]:
         """Places of the usable motors that do not obey yet."""

@@ -479,6 +479,21 @@ def test_the_setpoint_waits_while_nobody_follows(name: str) -> None:
     assert {out.mode for out in seen} == {FAULT}
 
 
+def test_a_fault_is_not_left_while_a_wheel_turns() -> None:
+    """Two wheels stand and two are silent: that is taken for rest, but the robot spins about the two that stand."""
+    stand = Stand("omni4")
+    stand.drive()
+    stand.motors.states = [SILENT, SILENT, OPERATIONAL, OPERATIONAL]
+    stand.run(2.0)
+    assert stand.is_in(FAULT)
+    assert stand.is_released()
+    stand.motors.states = [OPERATIONAL] * 4
+    stand.motors.measured = {index: 5.0 for index in range(4)}
+    assert stand.run(2.0).mode is FAULT
+    stand.motors.measured = {}
+    assert stand.cycle().mode is IDLE
+
+
 @both
 @pytest.mark.parametrize("heard", [1, 3])
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
