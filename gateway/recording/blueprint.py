@@ -78,7 +78,7 @@ def _from_above(eye_height: float) -> rrb.Spatial3DView:
         origin=WORLD,
         name="From above; velocity wanted (orange) and measured (blue)",
         overrides={PATH: trail},
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0xFFFFFF28),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0x80808050),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
             position=(0.0, 0.0, eye_height),

@@ -22,7 +22,7 @@ MEASURED = "/trace/world/robot/velocity/measured"
 
 COMMANDED_COLOUR = 0xFFB74DFF
 MEASURED_COLOUR = 0x4FC3F7FF
-BODY_COLOUR = 0xECEFF1FF
+BODY_COLOUR = 0xA98FD6FF  # to be seen on the dark ground of the viewer and on the light one
 CHASSIS_COLOUR = 0x90A4AEFF
 WHEEL_COLOUR = 0x607D8BFF
 PATH_COLOUR = 0x66BB6AFF
