@@ -43,6 +43,7 @@ def test_a_bit_of_the_recording_is_seen(drive: World) -> None:
     assert judged(world).digest == judged(drive).digest
 
 
+@pytest.mark.pure_python
 def test_a_bit_of_the_arithmetic_is_seen(drive: World, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cosine of the heading that is off by one last bit, as it was between processors."""
     expected = judged(drive)

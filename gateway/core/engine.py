@@ -461,6 +461,7 @@ class Engine:
         held = self._mode is Mode.ESTOP and (self._stop_category == HELD or self._rolled) and not self._shutdown
         if self._energised and not held and self._rested(now_ns):
             self._energised = False
+            self._health.expect_nothing()
 
     def _status(
         self,

@@ -100,6 +100,10 @@ class HealthMonitor:
         self._latched.clear()
         self.look_anew()
 
+    def expect_nothing(self) -> None:
+        """The motors are released: that they no longer obey is no fault, also when they are to brake again."""
+        self._obeyed.clear()
+
     def forgive(self) -> None:
         """The robot is at rest and released: motors lost before may be tried again."""
         self._lost.clear()

@@ -1,12 +1,13 @@
 """Whether the robot is at rest: nothing measured turns, and has not turned for a while.
 
-Only where nothing at all can be measured does time count instead: no measurement must not keep a robot energised for
-ever, but braking goes on as long as anything measured turns.
+Where too few wheels report to know the motion of the body, those that do may stand while it spins about them: then time
+counts as well, and where nothing at all can be measured, instead. No measurement must keep a robot energised for ever,
+but braking goes on as long as anything measured turns.
 """
 
 REST_DWELL_NS = 250_000_000  # wheels must stand for so long: creeping is not rest
 ROLL_NS = 100_000_000  # a wheel must turn for so long: a touch is no rolling
-REST_TIMEOUT_NS = 4_000_000_000  # a robot of which nothing can be measured is believed to stand after so long
+REST_TIMEOUT_NS = 4_000_000_000  # a robot whose motion is not known is believed to stand after so long
 
 
 class Standstill:
@@ -14,17 +15,17 @@ class Standstill:
 
     def __init__(self) -> None:
         self.standing: bool | None = None
-        self._standing_since_ns: int | None = None
+        self._known_since_ns: int | None = None  # that the body stands
+        self._standing_since_ns: int | None = None  # what is measured, if anything is
         self._turning_since_ns: int | None = None
-        self._blind_since_ns: int | None = None
         self._braking_since_ns: int | None = None
 
     def measure(self, *, turning: bool | None, measurable: bool, now_ns: int) -> None:
         """Take what the wheels say in this cycle. `turning` None: not one of them says anything."""
         self.standing = False if turning else True if measurable else None
-        self._standing_since_ns = _since(self._standing_since_ns, now_ns, holds=turning is False)
+        self._known_since_ns = _since(self._known_since_ns, now_ns, holds=self.standing is True)
+        self._standing_since_ns = _since(self._standing_since_ns, now_ns, holds=not turning)
         self._turning_since_ns = _since(self._turning_since_ns, now_ns, holds=turning is True)
-        self._blind_since_ns = _since(self._blind_since_ns, now_ns, holds=turning is None)
 
     def command(self, *, braking: bool, now_ns: int) -> None:
         """Take whether the motors are asked for rest in this cycle, or cannot be asked for anything."""
@@ -38,11 +39,11 @@ class Standstill:
         """Whether the robot may be released."""
         if self._braking_since_ns is None:
             return False
-        if self._standing_since_ns is not None:
-            return now_ns - self._standing_since_ns >= REST_DWELL_NS
-        if self._blind_since_ns is None:
+        if self._known_since_ns is not None:
+            return now_ns - self._known_since_ns >= REST_DWELL_NS
+        if self._standing_since_ns is None:
             return False
-        return now_ns - max(self._blind_since_ns, self._braking_since_ns) > REST_TIMEOUT_NS
+        return now_ns - max(self._standing_since_ns, self._braking_since_ns) > REST_TIMEOUT_NS
 
 
 def _since(before_ns: int | None, now_ns: int, *, holds: bool) -> int | None:

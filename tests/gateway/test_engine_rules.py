@@ -480,18 +480,35 @@ def test_the_setpoint_waits_while_nobody_follows(name: str) -> None:
 
 
 def test_a_fault_is_not_left_while_a_wheel_turns() -> None:
-    """Two wheels stand and two are silent: that is taken for rest, but the robot spins about the two that stand."""
+    """Two wheels stand and two are silent: taken for rest in the end, but the robot may spin about those two."""
     stand = Stand("omni4")
     stand.drive()
     stand.motors.states = [SILENT, SILENT, OPERATIONAL, OPERATIONAL]
-    stand.run(2.0)
+    stand.run(4.0)
     assert stand.is_in(FAULT)
+    assert not stand.is_released(), "braking goes on while the motion of the body is not known"
+    stand.run(2.0)
     assert stand.is_released()
     stand.motors.states = [OPERATIONAL] * 4
     stand.motors.measured = {index: 5.0 for index in range(4)}
     assert stand.run(2.0).mode is FAULT
     stand.motors.measured = {}
     assert stand.cycle().mode is IDLE
+
+
+@both
+def test_motors_that_are_to_brake_again_after_their_release_are_no_fault(name: str) -> None:
+    stand = Stand(name)
+    stand.drive(ZERO_TWIST, seconds=0.2)
+    stand.cycle(None, RequestKind.ESTOP)
+    stand.motors.measured = {}
+    stand.run(1.0)
+    assert stand.is_released()
+    stand.motors.states = [READY] * len(stand.names)
+    stand.motors.measured = {0: 3.0}
+    outs = [stand.cycle() for _ in range(50)]
+    assert not stand.is_released(), "what rolls is braked"
+    assert [event for out in outs for event in out.events] == []
 
 
 @both

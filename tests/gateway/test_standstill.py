@@ -88,3 +88,14 @@ def test_before_the_first_measurement_nothing_is_known() -> None:
     standstill = Standstill()
     standstill.command(braking=True, now_ns=START_NS)
     assert not standstill.rested(START_NS + 100 * REST_TIMEOUT_NS)
+
+
+def test_wheels_that_stand_while_too_few_report_say_nothing_of_the_body_before_the_timeout() -> None:
+    standstill = Standstill()
+    standstill.measure(turning=False, measurable=False, now_ns=START_NS)
+    standstill.command(braking=True, now_ns=START_NS)
+    assert not standstill.rested(START_NS + REST_TIMEOUT_NS)
+    assert standstill.rested(START_NS + REST_TIMEOUT_NS + 1)
+    standstill.measure(turning=False, measurable=True, now_ns=START_NS + 9)
+    assert not standstill.rested(START_NS + 9 + REST_DWELL_NS - 1)
+    assert standstill.rested(START_NS + 9 + REST_DWELL_NS)
