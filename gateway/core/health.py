@@ -140,7 +140,8 @@ class HealthMonitor:
             if index in self._away and self._is_away(index, motor, now_ns):
                 continue
             if motor.state is MotorState.OPERATIONAL:
-                self._obeyed.add(index)
+                if energised:
+                    self._obeyed.add(index)
                 fault = self._detected(index, samples[index]) or self._blamed(index, backwards)
             else:
                 fault = self._reported(index, motor, energised=energised)
