@@ -16,6 +16,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
+from typing import NoReturn
 
 from gateway.config import RobotConfig
 from gateway.recording.packets import (
@@ -144,7 +145,7 @@ def main(descriptor: int) -> int:
     except WriterDeadError as error:
         inbox.send(writer.report()._replace(error=f"the writing thread ended: {error}"))
         logger.warning("the writing thread ended: %s", error)
-        return EXIT_WRITER_DEAD
+        _leave(EXIT_WRITER_DEAD)  # at once: to return would drop the stream, and Rerun may wait for its thread then
     return 0
 
 
@@ -164,11 +165,10 @@ def _within_limit() -> Iterator[None]:
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
     signal.alarm(WRITE_LIMIT_S)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    yield
+    # Not after an error: the process is to end then, and must not be held up on the way.
+    signal.alarm(0)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
 
 
 def _step_back() -> None:
@@ -177,8 +177,11 @@ def _step_back() -> None:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-if __name__ == "__main__":
-    code = main(int(sys.argv[1]))
+def _leave(code: int) -> NoReturn:
+    """Not sys.exit: after a dead writing thread the interpreter's orderly end waits for it, for ever."""
     logging.shutdown()
-    # Not sys.exit: after a dead writing thread the interpreter's orderly end waits for it, for ever.
     os._exit(code)
+
+
+if __name__ == "__main__":
+    _leave(main(int(sys.argv[1])))

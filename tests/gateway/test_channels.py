@@ -34,6 +34,7 @@ def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
     assert len(layout.row(seen)) == len(layout.labels)
 
 
+@pytest.mark.pure_python  # something else in place of a trace
 def test_no_part_of_the_trace_is_left_out() -> None:
     class Noted:
         def __init__(self) -> None:
