@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -71,6 +71,8 @@ class OmniWheel(_Section):
 class OmniRobot(_Section):
     """n omni wheels at arbitrary poses."""
 
+    GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
+
     kind: Literal["omni"]
     name: Name
     body: Body
@@ -91,6 +93,8 @@ class Caster(_Section):
 
 class OffsetDifferentialRobot(_Section):
     """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
+
+    GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
 
     kind: Literal["offset_differential"]
     name: Name

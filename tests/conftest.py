@@ -3,10 +3,16 @@
 import socket
 
 import pytest
+from hypothesis import settings
 
 from gateway.build import COMPILED
 
 pytest_plugins = ["tests.vm.plugin"]
+
+# One commit, one verdict: the same random examples in every run. New ones: pytest --hypothesis-profile=explore
+settings.register_profile("repeatable", derandomize=True, database=None)
+settings.register_profile("explore", max_examples=1000, print_blob=True)
+settings.load_profile("repeatable")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -168,7 +168,8 @@ def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:
     return [
         f"motor {motor.name}: speed_loop.kp = {motor.speed_loop.kp:g}: takes back {gain:.0%} of a speed error in one "
         f"cycle of loop.rate = {config.loop.rate:g} Hz; allowed up to {LOOP_GAIN_REFUSAL:.0%}, beyond 200% it swings "
-        "without end: lower kp or raise loop.rate"
+        "without end: lower kp or raise loop.rate (what the wheel has to move follows from body.mass, body.inertia, "
+        f"body.joint_inertia and the geometry: {config.robot.GEOMETRY})"
         for motor in config.motors_in_order()
         if motor.speed_loop is not None
         and (gain := motor.speed_loop.kp * mobility / config.loop.rate) > LOOP_GAIN_REFUSAL

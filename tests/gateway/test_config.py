@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from gateway.config import ConfigError, load, parse
@@ -215,6 +215,20 @@ def test_no_key_takes_what_is_no_number_of_any_use(number: float) -> None:
 def test_extreme_numbers_in_any_key_are_valid_or_named(number: float) -> None:
     for name, place in PLACES:
         valid_or_named(name, place, number)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PLACES), st.floats(-2.0, 2.0))
+def test_a_number_up_to_a_hundred_times_off_is_valid_or_named(
+    where: tuple[str, tuple[object, ...]], decades: float
+) -> None:
+    """What a slip of the finger or of the unit makes of a sound robot file: where the limits meet each other."""
+    name, place = where
+    number: Any = DOCUMENTS[name]
+    for key in place:
+        number = number[key]
+    assume(isinstance(number, int | float))
+    valid_or_named(name, place, type(number)(number * 10.0**decades))
 
 
 @settings(max_examples=200, deadline=None)
