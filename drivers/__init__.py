@@ -1,10 +1,12 @@
 """CAN protocols of motor controllers. A new controller is one file here and one line in `DRIVERS`."""
 
+from typing import Final
+
 from drivers.contract import DriverType
 from drivers.dji import DjiDriver
 from drivers.odrive.group import OdriveDriver
 
-DRIVERS: dict[str, DriverType] = {
+DRIVERS: Final[dict[str, DriverType]] = {
     "odrive": OdriveDriver,
     "dji": DjiDriver,
 }

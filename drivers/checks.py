@@ -3,19 +3,19 @@
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 from math import inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.contract import IdUse, MotorSpec
 
-MIN_FEEDBACK_TIMEOUT_NS = 50_000_000
-FEEDBACK_TIMEOUT_PERIODS = 5
-SLOWEST_FEEDBACK_HZ = 10.0  # five periods are 0.5 s; a motor that is silent for longer must have been given up
-FASTEST_FEEDBACK_HZ = 1000.0
-WATCHDOG_PERIODS = 3.0  # of the loop: one frame may be lost and the next one late
-LONGEST_WATCHDOG_S = 1.0
+MIN_FEEDBACK_TIMEOUT_NS: Final = 50_000_000
+FEEDBACK_TIMEOUT_PERIODS: Final = 5
+SLOWEST_FEEDBACK_HZ: Final = 10.0  # five periods are 0.5 s; a motor that is silent for longer must have been given up
+FASTEST_FEEDBACK_HZ: Final = 1000.0
+WATCHDOG_PERIODS: Final = 3.0  # of the loop: one frame may be lost and the next one late
+LONGEST_WATCHDOG_S: Final = 1.0
 
-STANDARD_IDS = 0x7FF
-EXTENDED_IDS = 0x1FFF_FFFF
+STANDARD_IDS: Final = 0x7FF
+EXTENDED_IDS: Final = 0x1FFF_FFFF
 
 
 class Bound(NamedTuple):

@@ -12,7 +12,7 @@ driver's business: `gateway.control.transmission` applies them, once.
 
 from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 
 class CanFrame(NamedTuple):
@@ -43,8 +43,8 @@ class MotorCommand(NamedTuple):
     value: float = 0.0
 
 
-COAST = MotorCommand(CommandKind.COAST)
-BRAKE = MotorCommand(CommandKind.BRAKE)
+COAST: Final = MotorCommand(CommandKind.COAST)
+BRAKE: Final = MotorCommand(CommandKind.BRAKE)
 
 
 class MotorState(Enum):

@@ -18,7 +18,7 @@ Rotor side throughout: the angle, speed and torque are those of the motor shaft 
 from collections.abc import Sequence
 from math import ceil, isnan, pi, tau
 from struct import Struct
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_specs, feedback_timeout_ns
 from drivers.contract import (
@@ -37,28 +37,29 @@ from drivers.contract import (
 )
 from drivers.twins import TwinWatch, twin_fault
 
-COMMAND_IDS = (0x200, 0x1FF)  # ids 1 to 4, ids 5 to 8; RoboMaster C610 manual, p. 8
-FEEDBACK_ID = 0x200  # + id; same manual, p. 9
-MOTORS_PER_FRAME = 4
-IDS = range(1, 9)
+COMMAND_IDS: Final = (0x200, 0x1FF)  # ids 1 to 4, ids 5 to 8; RoboMaster C610 manual, p. 8
+FEEDBACK_ID: Final = 0x200  # + id; same manual, p. 9
+MOTORS_PER_FRAME: Final = 4
+IDS: Final = range(1, 9)
 
-AUTO_ID = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
+AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
 
-TICKS = 8192  # per turn of the rotor; same manual, p. 9
-RAD_PER_TICK = tau / TICKS
-RAD_S_PER_RPM = tau / 60.0
-TICKS_PER_RPM_NS = TICKS / 60e9
+TICKS: Final = 8192  # per turn of the rotor; same manual, p. 9
+RAD_PER_TICK: Final = tau / TICKS
+RAD_S_PER_RPM: Final = tau / 60.0
+TICKS_PER_RPM_NS: Final = TICKS / 60e9
 
-SPEED_DOUBT = 0.1  # of max_speed: how far the mean speed between two frames may be from the mean of their two speeds
-FULL_BRAKING = 0.25  # of max_speed: from there on all of the current that is allowed brakes
-REST = 0.002  # of max_speed: below it nothing brakes
-MIN_REST_RPM = 2  # the speed is told in whole rpm, so that of 1 has no sure sign
-FULL_BRAKING_NS = 5_000_000  # a current held for longer could turn a wheel that touches nothing the other way round
+SPEED_DOUBT: Final = 0.1  # of max_speed: how far the mean speed between two frames may be from that of its two ends
+FULL_BRAKING: Final = 0.25  # of max_speed: from there on all of the current that is allowed brakes
+REST: Final = 0.002  # of max_speed: below it nothing brakes
+MIN_REST_RPM: Final = 2  # the speed is told in whole rpm, so that of 1 has no sure sign
+FULL_BRAKING_NS: Final = 5_000_000  # a current held for longer could turn a wheel in the air the other way round
 
-_TORQUE, _COAST = CommandKind.TORQUE, CommandKind.COAST
-_COMMAND = Struct(">4h")  # current raw of four motors
-_FEEDBACK = Struct(">HhhBx")  # angle ticks, speed rpm, current raw, temperature deg C (C610: nothing), unused
-_FEEDBACK_FIELDS = ("angle_ticks", "speed_rpm", "current_raw", "temperature_c")
+_TORQUE: Final = CommandKind.TORQUE
+_COAST: Final = CommandKind.COAST
+_COMMAND: Final = Struct(">4h")  # current raw of four motors
+_FEEDBACK: Final = Struct(">HhhBx")  # angle ticks, speed rpm, current raw, temperature deg C (C610: nothing), unused
+_FEEDBACK_FIELDS: Final = ("angle_ticks", "speed_rpm", "current_raw", "temperature_c")
 
 
 class Variant(NamedTuple):
@@ -70,7 +71,7 @@ class Variant(NamedTuple):
     temperature: bool
 
 
-VARIANTS: dict[str, Variant] = {
+VARIANTS: Final[dict[str, Variant]] = {
     # raw 16384 = 20 A, 0.3 N m/A after the gearbox 3591/187; open-source drivers RoboRTS-Firmware, OneMotor
     "c620": Variant(16384, 16384 / 20.0, 0.3 * 187 / 3591, temperature=True),
     # raw 10000 = 10 A; RoboMaster C610 manual, p. 8. 0.18 N m/A after the gearbox 36; OneMotor

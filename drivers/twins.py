@@ -12,17 +12,19 @@ so a turning rotor may be anywhere within the way of that time, ahead or behind.
 Two rotors that stand within NEAR of each other look like one; they part as soon as one of them turns.
 """
 
+from typing import Final
+
 from drivers.contract import DriverFault, MotorSpec
 
-CODE = "id_twin"
+CODE: Final = "id_twin"
 
-NEAR = 0.2  # rad at the motor shaft; a step of the coarsest encoder in use (42 Hall states per turn) is 0.15
-SLACK_PERIODS = 2.0  # of the feedback, by which stamps may be wrong; at least a cycle of the loop, which stamps some
-CLEAR = 0.25  # of a turn; where a rotor may have gone further, an angle within a turn says nothing of its way
-SPEED_NOISE = 0.3  # of max_speed; an impact, or play in the gear, changes the rotor's speed in no time
-ACCELERATION = 20.0  # max_speed per second; a rotor without a load takes some 15
-RETURNS = 4.0
-FADE = 0.2  # of a return, by each frame that is none; a single rotor never comes near one return in six frames
+NEAR: Final = 0.2  # rad at the motor shaft; a step of the coarsest encoder in use (42 Hall states per turn) is 0.15
+SLACK_PERIODS: Final = 2.0  # of the feedback, by which stamps may be wrong; at least a cycle of the loop
+CLEAR: Final = 0.25  # of a turn; where a rotor may have gone further, an angle within a turn says nothing of its way
+SPEED_NOISE: Final = 0.3  # of max_speed; an impact, or play in the gear, changes the rotor's speed in no time
+ACCELERATION: Final = 20.0  # max_speed per second; a rotor without a load takes some 15
+RETURNS: Final = 4.0
+FADE: Final = 0.2  # of a return, by each frame that is none; a single rotor never comes near one return in six frames
 
 _Reading = tuple[float, float, int]  # rad, rad/s, ns
 

@@ -15,31 +15,32 @@ enough (|x| beyond 1e6, or r so small that most of x has cancelled) r is compute
 
 from collections.abc import Sequence
 from math import isinf, isnan
+from typing import Final
 
-REVISION = "own, 1"  # told in every session; another one when a bit of a result changes, here or in `linear`
+REVISION: Final = "own, 1"  # told in every session; another one when a bit of a result changes, here or in `linear`
 
-_EIGHTH = 0.7853981633974483  # pi/4: nothing to reduce up to here
-_TINY = 7.450580596923828e-09  # 2^-27: the sine is its argument and the cosine 1, to less than half a last bit
-_FAR = 1e6  # k has 20 bits up to here
-_CANCELLED = 0.0009765625  # 2^-10: below it a remainder has lost more bits than three parts of pi/2 can replace
+_EIGHTH: Final = 0.7853981633974483  # pi/4: nothing to reduce up to here
+_TINY: Final = 7.450580596923828e-09  # 2^-27: the sine is its argument and the cosine 1, to less than half a last bit
+_FAR: Final = 1e6  # k has 20 bits up to here
+_CANCELLED: Final = 0.0009765625  # 2^-10: below it a remainder has lost more bits than three parts of pi/2 can replace
 
-_QUARTERS_PER_RADIAN = 0.6366197723675814  # 2/pi
-_WHOLE = 6755399441055744.0  # 1.5 * 2^52: floats there are whole numbers, so adding it rounds to the nearest one
-_QUARTER_1 = float.fromhex("0x1.921fb544p+0")  # pi/2 = these three, to 119 bits
-_QUARTER_2 = float.fromhex("0x1.0b4611a6p-34")
-_QUARTER_3 = float.fromhex("0x1.3198a2e037073p-69")
+_QUARTERS_PER_RADIAN: Final = 0.6366197723675814  # 2/pi
+_WHOLE: Final = 6755399441055744.0  # 1.5 * 2^52: floats there are whole numbers, so adding it rounds to the nearest one
+_QUARTER_1: Final = float.fromhex("0x1.921fb544p+0")  # pi/2 = these three, to 119 bits
+_QUARTER_2: Final = float.fromhex("0x1.0b4611a6p-34")
+_QUARTER_3: Final = float.fromhex("0x1.3198a2e037073p-69")
 
 # pi/2 times 2^1184. Of the largest float k has 1024 bits, and no float is nearer than 2^-62 to a multiple of pi/2, so
 # 98 bits are left for the remainder.
-_BITS = 1184
-_QUARTER = int(
+_BITS: Final = 1184
+_QUARTER: Final = int(
     "1921fb54442d18469898cc51701b839a252049c1114cf98e804177d4c76273644a29410f31c6809bbdf2a33679a74863"
     "6605614dbe4be286e9fc26adadaa3848bc90b6aecc4bcfd8de89885d34c6fdad617feb96de80d6fdbdc70d7f6b5133f4"
     "b5d3e4822f8963fcc9250cca3d9c8b67b8400f97142c77e0b31b4906c38aba734d22c7f51fa499ebf06caba47b9475b2"
     "c38c5e6ac",
     16,
 )
-_ONE = 1 << _BITS
+_ONE: Final = 1 << _BITS
 
 
 def sin_cos(x: float) -> tuple[float, float]:

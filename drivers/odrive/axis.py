@@ -5,7 +5,7 @@ from enum import IntEnum, auto
 from functools import partial
 from math import isfinite, tau
 from struct import Struct
-from typing import Any
+from typing import Any, Final
 
 from drivers.checks import feedback_timeout_ns
 from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
@@ -15,15 +15,16 @@ from drivers.odrive.tables import AxisState, Control
 from drivers.twins import CODE as ID_TWIN
 from drivers.twins import TwinWatch, twin_fault
 
-REVOLUTION = tau  # rad; the wire counts in revolutions
-HEARTBEAT_TIMEOUT_NS = 300_000_000  # three of the default cyclic messages of 100 ms
-ESTIMATES_SETTLE_NS = 50_000_000  # an estimate may have waited for the bus while the heartbeat overtook it
+REVOLUTION: Final = tau  # rad; the wire counts in revolutions
+HEARTBEAT_TIMEOUT_NS: Final = 300_000_000  # three of the default cyclic messages of 100 ms
+ESTIMATES_SETTLE_NS: Final = 50_000_000  # an estimate may have waited for the bus while the heartbeat overtook it
 
-_PACK_VELOCITY = tables.COMMON_TO_DEVICE[tables.SET_INPUT_VEL].layout.pack
-_PACK_TORQUE = tables.COMMON_TO_DEVICE[tables.SET_INPUT_TORQUE].layout.pack
-_VELOCITY, _TORQUE = CommandKind.VELOCITY, CommandKind.TORQUE
-_FLOAT = Struct("<f")
-_UINT32 = Struct("<I")
+_PACK_VELOCITY: Final = tables.COMMON_TO_DEVICE[tables.SET_INPUT_VEL].layout.pack
+_PACK_TORQUE: Final = tables.COMMON_TO_DEVICE[tables.SET_INPUT_TORQUE].layout.pack
+_VELOCITY: Final = CommandKind.VELOCITY
+_TORQUE: Final = CommandKind.TORQUE
+_FLOAT: Final = Struct("<f")
+_UINT32: Final = Struct("<I")
 
 Take = Callable[[tuple[Any, ...], int], None]
 
@@ -47,8 +48,8 @@ class Step(IntEnum):
     REFUSE = auto()
 
 
-ARMING = frozenset({Step.CLEAR, Step.MODE, Step.LIMITS, Step.ARM, Step.ACTIVE})
-FAILED = frozenset({Step.RESET, Step.ASK_WHY, Step.REFUSE})
+ARMING: Final = frozenset({Step.CLEAR, Step.MODE, Step.LIMITS, Step.ARM, Step.ACTIVE})
+FAILED: Final = frozenset({Step.RESET, Step.ASK_WHY, Step.REFUSE})
 
 
 class Axis:

@@ -27,21 +27,21 @@ from collections.abc import Callable
 from itertools import pairwise
 from math import isclose
 from struct import Struct
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.contract import CanFrame, DriverFault
 from drivers.odrive import tables
 from drivers.odrive.axis import ARMING, Axis, Step
 from drivers.odrive.tables import AxisState, Control
 
-MS = 1_000_000
-RELEASE_PERIOD_NS = 100 * MS
-ARM_PATIENCE_NS = 1000 * MS
-CONFIGURE_ATTEMPTS = 5
-OUTLIVE_SILENCE = frozenset({Step.HEARTBEAT, Step.ASK_WHY, Step.REFUSE})
+MS: Final = 1_000_000
+RELEASE_PERIOD_NS: Final = 100 * MS
+ARM_PATIENCE_NS: Final = 1000 * MS
+CONFIGURE_ATTEMPTS: Final = 5
+OUTLIVE_SILENCE: Final = frozenset({Step.HEARTBEAT, Step.ASK_WHY, Step.REFUSE})
 
-_FLOAT = Struct("<f")
-_UINT32 = Struct("<I")
+_FLOAT: Final = Struct("<f")
+_UINT32: Final = Struct("<I")
 
 Failure = tuple[Step, DriverFault | None]
 
@@ -113,10 +113,10 @@ def _successors(axis: Axis) -> dict[Step, Step]:
     return _SUCCESSORS[axis.firmware.tells_version, axis.spec.watchdog is not None]
 
 
-_ARM_STEPS = (Step.READY, Step.CLEAR, Step.MODE, Step.LIMITS, Step.ARM, Step.ACTIVE)
-_RECOVERY = {Step.RESET: Step.HEARTBEAT, Step.ASK_WHY: Step.REFUSE}
-_VERSION_STEPS = (Step.HEARTBEAT, Step.VERSION, Step.FIRMWARE)
-_SUCCESSORS: dict[tuple[bool, bool], dict[Step, Step]] = {
+_ARM_STEPS: Final = (Step.READY, Step.CLEAR, Step.MODE, Step.LIMITS, Step.ARM, Step.ACTIVE)
+_RECOVERY: Final = {Step.RESET: Step.HEARTBEAT, Step.ASK_WHY: Step.REFUSE}
+_VERSION_STEPS: Final = (Step.HEARTBEAT, Step.VERSION, Step.FIRMWARE)
+_SUCCESSORS: Final[dict[tuple[bool, bool], dict[Step, Step]]] = {
     # (tells its version, watchdog given)
     (False, False): dict(pairwise((Step.HEARTBEAT, *_ARM_STEPS))) | _RECOVERY,
     (True, False): dict(pairwise((*_VERSION_STEPS, *_ARM_STEPS))) | _RECOVERY,
@@ -270,7 +270,7 @@ def _unexplained(axis: Axis) -> Failure:
     return Step.REFUSE, axis.verdict
 
 
-RULES: dict[Step, Rule] = {
+RULES: Final[dict[Step, Rule]] = {
     # step: sends, left when, sent again after, fails after, failure
     Step.HEARTBEAT: Rule(_nothing, _heard),
     Step.VERSION: Rule(_ask_version, _version_told, 100 * MS, 1000 * MS, _no_version),

@@ -6,7 +6,7 @@ Words and bits are those of the vendor's DBC files (see odrive_tables), against 
 from collections.abc import Callable, Mapping
 from functools import reduce
 from operator import or_
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from drivers.odrive import tables
 from drivers.odrive.tables import Message
@@ -41,9 +41,9 @@ class Bit(NamedTuple):
     code: str
 
 
-DEVICE_ERROR = "device_error"
+DEVICE_ERROR: Final = "device_error"
 
-ERRORS_06: dict[int, Bit] = {
+ERRORS_06: Final[dict[int, Bit]] = {
     0x0000_0001: Bit("INITIALIZING", DEVICE_ERROR),
     0x0000_0002: Bit("SYSTEM_LEVEL", DEVICE_ERROR),
     0x0000_0004: Bit("TIMING_ERROR", DEVICE_ERROR),
@@ -69,7 +69,7 @@ ERRORS_06: dict[int, Bit] = {
     0x4000_0000: Bit("CALIBRATION_ERROR", DEVICE_ERROR),
 }
 
-ERRORS_05: dict[int, Bit] = {
+ERRORS_05: Final[dict[int, Bit]] = {
     0x0000_0001: Bit("INVALID_STATE", DEVICE_ERROR),
     0x0000_0040: Bit("MOTOR_FAILED", "motor"),
     0x0000_0080: Bit("SENSORLESS_ESTIMATOR_FAILED", "encoder"),
@@ -87,7 +87,7 @@ ERRORS_05: dict[int, Bit] = {
     1 << CONTROLLER_FLAG_BIT: Bit("controller error flag", "controller"),
 }
 
-MOTOR_ERRORS_05: dict[int, Bit] = {
+MOTOR_ERRORS_05: Final[dict[int, Bit]] = {
     0x0000_0001: Bit("PHASE_RESISTANCE_OUT_OF_RANGE", "motor"),
     0x0000_0002: Bit("PHASE_INDUCTANCE_OUT_OF_RANGE", "motor"),
     0x0000_0008: Bit("DRV_FAULT", "motor"),
@@ -117,7 +117,7 @@ MOTOR_ERRORS_05: dict[int, Bit] = {
     0x8_0000_0000: Bit("UNBALANCED_PHASES", "motor"),
 }
 
-ENCODER_ERRORS_05: dict[int, Bit] = {
+ENCODER_ERRORS_05: Final[dict[int, Bit]] = {
     0x0000_0001: Bit("UNSTABLE_GAIN", "encoder"),
     0x0000_0002: Bit("CPR_POLEPAIRS_MISMATCH", "encoder"),
     0x0000_0004: Bit("NO_RESPONSE", "encoder"),
@@ -130,7 +130,7 @@ ENCODER_ERRORS_05: dict[int, Bit] = {
     0x0000_0200: Bit("HALL_NOT_CALIBRATED_YET", "encoder"),
 }
 
-CONTROLLER_ERRORS_05: dict[int, Bit] = {
+CONTROLLER_ERRORS_05: Final[dict[int, Bit]] = {
     0x0000_0001: Bit("OVERSPEED", "overspeed"),
     0x0000_0002: Bit("INVALID_INPUT_MODE", "controller"),
     0x0000_0004: Bit("UNSTABLE_GAIN", "controller"),
@@ -141,7 +141,7 @@ CONTROLLER_ERRORS_05: dict[int, Bit] = {
     0x0000_0080: Bit("SPINOUT_DETECTED", "encoder"),
 }
 
-PROCEDURE_RESULTS_06: dict[int, str] = {
+PROCEDURE_RESULTS_06: Final[dict[int, str]] = {
     0: "SUCCESS",
     1: "BUSY",
     2: "CANCELLED",
@@ -187,7 +187,7 @@ class Firmware(NamedTuple):
     heartbeat_setting: str
 
 
-FIRMWARES: dict[str, Firmware] = {
+FIRMWARES: Final[dict[str, Firmware]] = {
     "0.5": Firmware(
         to_device=tables.TO_DEVICE_05,
         from_device=tables.FROM_DEVICE_05,

@@ -6,7 +6,7 @@ in odrive_axis and its bring-up in odrive_bringup; here is the group of axes on 
 
 from collections.abc import Callable, Sequence
 from math import isnan
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from drivers.checks import check_specs
 from drivers.contract import (
@@ -28,18 +28,18 @@ from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES
 from drivers.odrive.tables import AxisState, Control
 
-NODES = range(63)  # 0x3F is the address of controllers that have none yet
-NODE_MASK = 0x7FF & ~tables.COMMAND_MASK
-HEARTBEAT_RATE_HZ = 10.0  # firmware default
+NODES: Final = range(63)  # 0x3F is the address of controllers that have none yet
+NODE_MASK: Final = 0x7FF & ~tables.COMMAND_MASK
+HEARTBEAT_RATE_HZ: Final = 10.0  # firmware default
 
-CONTROLS: dict[CommandKind, Control | None] = {
+CONTROLS: Final[dict[CommandKind, Control | None]] = {
     CommandKind.COAST: None,
     CommandKind.BRAKE: Control.VELOCITY,
     CommandKind.VELOCITY: Control.VELOCITY,
     CommandKind.TORQUE: Control.TORQUE,
 }
 
-_ACTIVE = Step.ACTIVE
+_ACTIVE: Final = Step.ACTIVE
 _Route = tuple[Callable[[bytes], tuple[Any, ...]], int, int, Callable[[tuple[Any, ...], int], None]]
 
 

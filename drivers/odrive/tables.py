@@ -7,24 +7,24 @@ tests check every row. Everything is little-endian; a frame may be shorter than 
 
 from enum import IntEnum
 from struct import Struct, calcsize
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-NODE_SHIFT = 5
-COMMAND_MASK = 0x1F
+NODE_SHIFT: Final = 5
+COMMAND_MASK: Final = 0x1F
 
-GET_VERSION = 0x00
-HEARTBEAT = 0x01
-RX_SDO = 0x04
-SET_AXIS_STATE = 0x07
-GET_ENCODER_ESTIMATES = 0x09
-SET_CONTROLLER_MODE = 0x0B
-SET_INPUT_VEL = 0x0D
-SET_INPUT_TORQUE = 0x0E
-SET_LIMITS = 0x0F
-CLEAR_ERRORS = 0x18
+GET_VERSION: Final = 0x00
+HEARTBEAT: Final = 0x01
+RX_SDO: Final = 0x04
+SET_AXIS_STATE: Final = 0x07
+GET_ENCODER_ESTIMATES: Final = 0x09
+SET_CONTROLLER_MODE: Final = 0x0B
+SET_INPUT_VEL: Final = 0x0D
+SET_INPUT_TORQUE: Final = 0x0E
+SET_LIMITS: Final = 0x0F
+CLEAR_ERRORS: Final = 0x18
 
 SDO_READ, SDO_WRITE = 0, 1
-INPUT_PASSTHROUGH = 1  # the host makes the ramps
+INPUT_PASSTHROUGH: Final = 1  # the host makes the ramps
 
 
 class AxisState(IntEnum):
@@ -83,7 +83,7 @@ def _empty(name: str) -> Message:
     return Message(name, Struct("<"), 0, ())
 
 
-COMMON_TO_DEVICE: dict[int, Message] = {
+COMMON_TO_DEVICE: Final[dict[int, Message]] = {
     0x02: _empty("Estop"),
     SET_AXIS_STATE: _message("Set_Axis_State", "<I", "Axis_Requested_State"),
     SET_CONTROLLER_MODE: _message("Set_Controller_Mode", "<II", "Control_Mode", "Input_Mode"),
@@ -100,13 +100,13 @@ COMMON_TO_DEVICE: dict[int, Message] = {
     0x1B: _message("Set_Vel_Gains", "<ff", "Vel_Gain", "Vel_Integrator_Gain"),
 }
 
-COMMON_FROM_DEVICE: dict[int, Message] = {
+COMMON_FROM_DEVICE: Final[dict[int, Message]] = {
     GET_ENCODER_ESTIMATES: _message("Get_Encoder_Estimates", "<ff", "Pos_Estimate", "Vel_Estimate"),
     0x14: _message("Get_Iq", "<ff", "Iq_Setpoint", "Iq_Measured"),
     0x17: _message("Get_Bus_Voltage_Current", "<ff", "Bus_Voltage", "Bus_Current"),
 }
 
-TO_DEVICE_06 = COMMON_TO_DEVICE | {
+TO_DEVICE_06: Final = COMMON_TO_DEVICE | {
     RX_SDO: _message("RxSdo", "<BHBI", "Opcode", "Endpoint_ID", "Reserved", "Value"),
     0x06: _message(
         "Address", "<Q", Field("Node_ID", 0, 0, 0xFF), Field("Serial_Number", 0, 8, 0xFFFF_FFFF_FFFF), needed=7
@@ -117,7 +117,7 @@ TO_DEVICE_06 = COMMON_TO_DEVICE | {
     0x1F: _empty("Enter_DFU_Mode"),
 }
 
-FROM_DEVICE_06 = COMMON_FROM_DEVICE | {
+FROM_DEVICE_06: Final = COMMON_FROM_DEVICE | {
     GET_VERSION: _message(
         "Get_Version",
         "<8B",
@@ -136,7 +136,7 @@ FROM_DEVICE_06 = COMMON_FROM_DEVICE | {
     0x1D: _message("Get_Powers", "<ff", "Electrical_Power", "Mechanical_Power"),
 }
 
-TO_DEVICE_05 = COMMON_TO_DEVICE | {
+TO_DEVICE_05: Final = COMMON_TO_DEVICE | {
     0x06: _message("Set_Axis_Node_ID", "<I", "Axis_Node_ID"),
     0x10: _empty("Start_Anticogging"),
     0x16: _empty("Reboot"),
@@ -144,7 +144,7 @@ TO_DEVICE_05 = COMMON_TO_DEVICE | {
     0x19: _message("Set_Linear_Count", "<i", "Position"),
 }
 
-FROM_DEVICE_05 = COMMON_FROM_DEVICE | {
+FROM_DEVICE_05: Final = COMMON_FROM_DEVICE | {
     HEARTBEAT: _message(
         "Heartbeat",
         "<IBBBB",

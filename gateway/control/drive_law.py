@@ -8,7 +8,7 @@ and with what of the setpoint is really driven. Which joints may be commanded at
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
@@ -42,8 +42,8 @@ class JointCommand(NamedTuple):
     limit: float | None = None
 
 
-COAST = JointCommand(CommandKind.COAST)
-BRAKE = JointCommand(CommandKind.BRAKE)
+COAST: Final = JointCommand(CommandKind.COAST)
+BRAKE: Final = JointCommand(CommandKind.BRAKE)
 
 
 class Motion(NamedTuple):

@@ -15,14 +15,15 @@ twists is not convex: where the straight line would leave it, the rates that mus
 """
 
 from math import ceil, sqrt
+from typing import Final
 
 from gateway.types import ZERO_TWIST, Twist
 
-TURNING_SHARE = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
-_TURNING_DELAY = 1.4461490724592034  # atanh(sqrt(k))/sqrt(k), k = TURNING_SHARE: see `stopping_time`
-LEAST_SHARE = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
-_ROUNDING = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
-_LINE_TOLERANCE = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
+TURNING_SHARE: Final = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
+_TURNING_DELAY: Final = 1.4461490724592034  # atanh(sqrt(k))/sqrt(k), k = TURNING_SHARE: see `stopping_time`
+LEAST_SHARE: Final = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
+_ROUNDING: Final = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
+_LINE_TOLERANCE: Final = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
 
 
 def excess(vector: Twist, limits: Twist) -> float:

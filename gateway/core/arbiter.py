@@ -11,12 +11,12 @@ for longer finds another world, perhaps with another source that drives.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.config import Source
 from gateway.types import ZERO_TWIST, SourceStatus, TwistCommand
 
-LONGEST_DIP_NS = 2_000_000_000  # a link that stalls, a process that swaps; source: ours
+LONGEST_DIP_NS: Final = 2_000_000_000  # a link that stalls, a process that swaps; source: ours
 
 
 class Selection(NamedTuple):
@@ -26,7 +26,7 @@ class Selection(NamedTuple):
     age_ns: int | None
 
 
-NOBODY = Selection(None, None)
+NOBODY: Final = Selection(None, None)
 
 
 class Arbiter:

@@ -5,13 +5,13 @@ table: a new quantity is a field of `Trace`, and a row here.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.types import Trace
 
 Numbers = Sequence[float | None]
 
-AXES = ("vx", "vy", "wz")
+AXES: Final = ("vx", "vy", "wz")
 
 
 class Channel(NamedTuple):
@@ -44,7 +44,7 @@ def _of_axes(what: str) -> tuple[str, ...]:
 
 
 VELOCITY, WHEELS = "Body velocity [m/s, rad/s]", "Wheel speeds [rad/s]"
-CHANNELS = (
+CHANNELS: Final = (
     Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True),
     Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds),
     Channel("twist/target", _of_axes("wanted"), "m/s, rad/s", VELOCITY, lambda trace: trace.target, asked=True),
@@ -54,7 +54,7 @@ CHANNELS = (
     Channel("residual", ("residual",), "m/s", "Slip residual [m/s]", lambda trace: (trace.residual,)),
     Channel("command_age", ("command_age",), "s", "Command age [s]", lambda trace: (trace.winner_age_s,)),
 )
-POSITIONS = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)  # not plotted: `replay trace`
+POSITIONS: Final = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)
 
 
 class Layout:

@@ -16,43 +16,43 @@ Only samples that are new count where a position is compared: a lost frame is no
 
 from collections.abc import Callable, Sequence
 from math import copysign
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
-AT_LIMIT = 0.8  # of the torque limit, from which a motor is taken to give all it has
+AT_LIMIT: Final = 0.8  # of the torque limit, from which a motor is taken to give all it has
 
-STALL_TIME = 0.25  # s
-STALL_WAY = 0.02  # s at top speed: the way that was commanded and not gone
-STALL_BLIND_FACTOR = 2.0  # times that, where the controller does not tell its torque
-STALL_SPEED = 0.1  # of the setpoint; slower counts as no motion
-CRAWL_SPEED = 0.05  # of top speed: slower, with all its torque for CRAWL_TIME, is no driving either
-CRAWL_TIME = 1.0  # s
-LEAST_SETPOINT = 0.01  # of top speed; below it nothing is asked of the motor
+STALL_TIME: Final = 0.25  # s
+STALL_WAY: Final = 0.02  # s at top speed: the way that was commanded and not gone
+STALL_BLIND_FACTOR: Final = 2.0  # times that, where the controller does not tell its torque
+STALL_SPEED: Final = 0.1  # of the setpoint; slower counts as no motion
+CRAWL_SPEED: Final = 0.05  # of top speed: slower, with all its torque for CRAWL_TIME, is no driving either
+CRAWL_TIME: Final = 1.0  # s
+LEAST_SETPOINT: Final = 0.01  # of top speed; below it nothing is asked of the motor
 
-FREEZE_FROM = 0.1  # of top speed: from there no brake stops a wheel within FREEZE_TIME ...
-FREEZE_FROM_DRIVING = 0.03  # ... and from there no ramp does
-FREEZE_TIME = 0.012  # s
-FREEZE_SAMPLES = 3
-FREEZE_STRAIN = 0.3  # of the torque limit, which no wheel bears without the slightest motion ...
-FREEZE_STRAIN_TIME = 0.15  # ... for so long, s
-FREEZE_EXPECTED = 0.05  # of top speed, by which the other wheels say that it turns ...
-FREEZE_EXPECTED_TIME = 0.04  # ... for so long, s
+FREEZE_FROM: Final = 0.1  # of top speed: from there no brake stops a wheel within FREEZE_TIME ...
+FREEZE_FROM_DRIVING: Final = 0.03  # ... and from there no ramp does
+FREEZE_TIME: Final = 0.012  # s
+FREEZE_SAMPLES: Final = 3
+FREEZE_STRAIN: Final = 0.3  # of the torque limit, which no wheel bears without the slightest motion ...
+FREEZE_STRAIN_TIME: Final = 0.15  # ... for so long, s
+FREEZE_EXPECTED: Final = 0.05  # of top speed, by which the other wheels say that it turns ...
+FREEZE_EXPECTED_TIME: Final = 0.04  # ... for so long, s
 
-RUNAWAY_TIME = 0.05  # s; an impact is over by then
-RUNAWAY_SAMPLES = 6  # in a row; after a pause of the loop a single one may cover much time
-RUNAWAY_GROWTH = 0.05  # of top speed, beyond the setpoint
-RUNAWAY_RATE = 0.8  # top speeds per second; a slope or a push is slower
+RUNAWAY_TIME: Final = 0.05  # s; an impact is over by then
+RUNAWAY_SAMPLES: Final = 6  # in a row; after a pause of the loop a single one may cover much time
+RUNAWAY_GROWTH: Final = 0.05  # of top speed, beyond the setpoint
+RUNAWAY_RATE: Final = 0.8  # top speeds per second; a slope or a push is slower
 
-REVERSED_WORK = 0.015  # of torque limit times top speed, that went into slowing down against the torque ...
-REVERSED_TIME = 0.1  # ... within about so long, s
-REVERSED_STRAIN_TIME = 0.05  # s with all its torque, moving against it all the while; an impact is over by then
-REVERSED_NOISE = 0.0005  # of top speed, by which two measurements may differ the other way
-REVERSED_ERROR = 0.04  # of top speed, by which the wheel is off its setpoint by then
-REVERSED_MEMORY = 1.0  # s, in which no other wheel strained for longer ...
-REVERSED_BURDEN = 0.15  # s ... nor the wheel itself for so long: an overload goes round as the robot turns
-REVERSED_RATIO = 2.0  # times the work of any other wheel; what acts on the body acts on at least two wheels alike
+REVERSED_WORK: Final = 0.015  # of torque limit times top speed, that went into slowing down against the torque ...
+REVERSED_TIME: Final = 0.1  # ... within about so long, s
+REVERSED_STRAIN_TIME: Final = 0.05  # s with all its torque, moving against it all the while; an impact is over by then
+REVERSED_NOISE: Final = 0.0005  # of top speed, by which two measurements may differ the other way
+REVERSED_ERROR: Final = 0.04  # of top speed, by which the wheel is off its setpoint by then
+REVERSED_MEMORY: Final = 1.0  # s, in which no other wheel strained for longer ...
+REVERSED_BURDEN: Final = 0.15  # s ... nor the wheel itself for so long: an overload goes round as the robot turns
+REVERSED_RATIO: Final = 2.0  # times the work of any other wheel; what acts on the body acts on two wheels alike
 
-FOLLOWING_TOLERANCE = 0.3  # of top speed
-FOLLOWING_TIME = 0.5  # s
+FOLLOWING_TOLERANCE: Final = 0.3  # of top speed
+FOLLOWING_TIME: Final = 0.5  # s
 
 
 class Sample(NamedTuple):

@@ -14,6 +14,7 @@ after `measure`, degraded driving inside the kinematics (fewer rows) and the lim
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 from drivers.contract import CanFrame, MotorState
 from gateway.arithmetic import dot, sin_cos
@@ -46,16 +47,16 @@ from gateway.types import (
     TwistFrame,
 )
 
-DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
-HOLDING = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
-ARMING_TIMEOUT_NS = 3_000_000_000
-ANSWER_TIME_NS = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
-BRAKING = frozenset({Mode.STOPPING, Mode.FAULT})
-DISMISSING = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
-MAX_STEP_PERIODS = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
-HELD = 2  # the stop category that goes on holding at rest (IEC 60204-1)
-SLACK = 0.1  # of top speed by which a braking setpoint may be ahead of the measured motion
-RETREAT = 5.0  # top speeds per second at which it is taken back beyond that: no step, whatever was measured
+DRIVING: Final = frozenset({Mode.DRIVE, Mode.DEGRADED})
+HOLDING: Final = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
+ARMING_TIMEOUT_NS: Final = 3_000_000_000
+ANSWER_TIME_NS: Final = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
+BRAKING: Final = frozenset({Mode.STOPPING, Mode.FAULT})
+DISMISSING: Final = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
+MAX_STEP_PERIODS: Final = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
+HELD: Final = 2  # the stop category that goes on holding at rest (IEC 60204-1)
+SLACK: Final = 0.1  # of top speed by which a braking setpoint may be ahead of the measured motion
+RETREAT: Final = 5.0  # top speeds per second at which it is taken back beyond that: no step, whatever was measured
 
 
 class Engine:

@@ -2,7 +2,7 @@
 
 import itertools
 from math import fsum, pi, sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.contract import Traffic
 from gateway.config import ConfigError, OffsetDifferentialRobot, RobotConfig
@@ -11,17 +11,17 @@ from gateway.core.assembly import Robot, build
 from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
 from gateway.types import Twist
 
-LOAD_WARNING = 0.70
-LOAD_REFUSAL = 0.95
-STOPPING_REFUSAL_S = 5.0  # a robot that needs longer from top speed is not under control; source: ours
+LOAD_WARNING: Final = 0.70
+LOAD_REFUSAL: Final = 0.95
+STOPPING_REFUSAL_S: Final = 5.0  # a robot that needs longer from top speed is not under control; source: ours
 # ln(1 + 2/(k - 1)) of the pull-region compensation with k = 2: mirror-image decay (preprints202312.1327, Eq. 23)
-_COMPENSATION = 1.0986122886681098
-_UNIT = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
-_SIGNS = tuple(itertools.product((-1.0, 1.0), repeat=3))
+_COMPENSATION: Final = 1.0986122886681098
+_UNIT: Final = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
+_SIGNS: Final = tuple(itertools.product((-1.0, 1.0), repeat=3))
 # Of a speed error, that a speed loop may take back in one cycle: beyond 2 the error grows from cycle to cycle, up to 1
 # it never changes its sign. Source: ours, half of what is stable.
-LOOP_GAIN_REFUSAL = 1.0
-_HEADINGS = 72  # joint angles at which the top speed of a steered chassis is looked for
+LOOP_GAIN_REFUSAL: Final = 1.0
+_HEADINGS: Final = 72  # joint angles at which the top speed of a steered chassis is looked for
 
 
 class BusLoad(NamedTuple):

@@ -11,14 +11,14 @@ what it was last told, so once the bus is back it goes on braking if it still ob
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.contract import MotorFeedback, MotorState
 from drivers.twins import CODE as ID_TWIN
 from gateway.core import detectors
 from gateway.core.detectors import Detector, Limits, Sample
 
-RETURN_GRACE_NS = 150_000_000  # for a motor to be heard again once its bus is back; longer than any feedback period
+RETURN_GRACE_NS: Final = 150_000_000  # for a motor to be heard again once its bus is back
 
 
 class FaultKind(Enum):
@@ -37,16 +37,16 @@ class FaultKind(Enum):
     BUS = "bus"  # the bus cannot send or receive
 
 
-DETECTORS: dict[FaultKind, Callable[[Limits], Detector]] = {
+DETECTORS: Final[dict[FaultKind, Callable[[Limits], Detector]]] = {
     FaultKind.RUNAWAY: detectors.RunawayDetector,
     FaultKind.FROZEN: detectors.FrozenEncoderDetector,
     FaultKind.STALL: detectors.StallDetector,
     FaultKind.FOLLOWING: detectors.FollowingDetector,
 }
-TOLD: dict[str, FaultKind] = {ID_TWIN: FaultKind.TWIN}  # what drivers tell by these codes; else it is MOTOR
-STILL_BRAKING = frozenset({FaultKind.STALL, FaultKind.FOLLOWING})  # not to be driven, but on a slope it must hold
+TOLD: Final[dict[str, FaultKind]] = {ID_TWIN: FaultKind.TWIN}  # what drivers tell by these codes; else it is MOTOR
+STILL_BRAKING: Final = frozenset({FaultKind.STALL, FaultKind.FOLLOWING})  # but on a slope it must hold
 # A controller that misreads its shaft, or pushes the wrong way, cannot even brake it.
-BLIND = frozenset({FaultKind.FROZEN, FaultKind.TWIN, FaultKind.REVERSED})
+BLIND: Final = frozenset({FaultKind.FROZEN, FaultKind.TWIN, FaultKind.REVERSED})
 
 
 class Fault(NamedTuple):

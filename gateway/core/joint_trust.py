@@ -12,10 +12,11 @@ Only a reference gives it back.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
-HICCUP_NS = 500_000_000  # no motor controller boots faster; a longer silence may have been a restart
-UNKNOWN = "joint angle unknown"  # how a fault or a refusal of such a joint begins
-HICCUP_WAY = 0.05  # rad; further off after a hiccup, and the counter may have been another one
+HICCUP_NS: Final = 500_000_000  # no motor controller boots faster; a longer silence may have been a restart
+UNKNOWN: Final = "joint angle unknown"  # how a fault or a refusal of such a joint begins
+HICCUP_WAY: Final = 0.05  # rad; further off after a hiccup, and the counter may have been another one
 
 
 class JointTrust:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Final
 
 from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
 from gateway.control.drive_law import JointCommand, Measured
@@ -9,11 +10,12 @@ from gateway.core.assembly import Robot
 from gateway.core.detectors import Sample
 from gateway.types import MotorStatus
 
-STANDSTILL = 0.005  # of the motor's top speed
-SATURATED = 0.98  # of the torque limit
-TAKE_UP_FROM = 0.02  # of top speed; less is no step, whatever becomes of it
-_SPEEDS = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
-HEADROOM_FROM, HEADROOM_TO = 0.05, 0.08  # of top speed: lag at which the setpoint may grow slower, and not at all
+STANDSTILL: Final = 0.005  # of the motor's top speed
+SATURATED: Final = 0.98  # of the torque limit
+TAKE_UP_FROM: Final = 0.02  # of top speed; less is no step, whatever becomes of it
+_SPEEDS: Final = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
+HEADROOM_FROM: Final = 0.05  # of top speed: lag at which the setpoint may grow slower ...
+HEADROOM_TO: Final = 0.08  # ... and not at all
 
 
 class Motors:

@@ -7,6 +7,7 @@ Where a gyro tells the heading, the turn is the gyro's and the wheels tell the w
 
 from collections.abc import Sequence
 from math import remainder, tau
+from typing import Final
 
 from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Kinematics
@@ -14,22 +15,22 @@ from gateway.types import NO_DISPLACEMENT, Displacement, Odometry, Pose, Twist
 
 # Variance per metre and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard floor.
 # Source: chosen by us until a robot has been measured; stated in the README.
-_VARIANCE_PER_METRE = 4e-4  # m^2/m, along and across
-_HEADING_VARIANCE_PER_RADIAN = 4e-4  # rad^2/rad
-_HEADING_VARIANCE_PER_METRE = 1e-4  # rad^2/m
+_VARIANCE_PER_METRE: Final = 4e-4  # m^2/m, along and across
+_HEADING_VARIANCE_PER_RADIAN: Final = 4e-4  # rad^2/rad
+_HEADING_VARIANCE_PER_METRE: Final = 1e-4  # rad^2/m
 # A gyro's heading wanders with time and errs by its scale: 1 mrad after a second, 1 % of a turn of 1 rad.
 # Source: chosen by us for an uncalibrated MEMS gyro.
-_GYRO_VARIANCE_PER_SECOND = 1e-6  # rad^2/s
-_GYRO_VARIANCE_PER_RADIAN = 1e-4  # rad^2/rad
-_SLIP_CORRELATION = 1.0  # s; a slip goes on for about so long, so its error adds up over that time
-_SLIP_LEVER = 0.25  # m; turns an unexplained rim speed into a yaw rate error
-_LONGEST_GAP = 0.5  # s; a controller that reports more rarely counts as silent anyway
-_JUMP_FACTOR = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
-_SMALL_ANGLE = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
+_GYRO_VARIANCE_PER_SECOND: Final = 1e-6  # rad^2/s
+_GYRO_VARIANCE_PER_RADIAN: Final = 1e-4  # rad^2/rad
+_SLIP_CORRELATION: Final = 1.0  # s; a slip goes on for about so long, so its error adds up over that time
+_SLIP_LEVER: Final = 0.25  # m; turns an unexplained rim speed into a yaw rate error
+_LONGEST_GAP: Final = 0.5  # s; a controller that reports more rarely counts as silent anyway
+_JUMP_FACTOR: Final = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
+_SMALL_ANGLE: Final = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
 
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
 # Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
-_FIRST_VARIANCE = 1e-6  # m^2, m^2, rad^2
+_FIRST_VARIANCE: Final = 1e-6  # m^2, m^2, rad^2
 _FIRST_COVARIANCE: Covariance = (_FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE)
 
 

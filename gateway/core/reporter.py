@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Sequence
 from math import floor
+from typing import Final
 
 from gateway.config import RobotConfig
 from gateway.core.health import Fault
@@ -18,18 +19,22 @@ from gateway.types import (
     TwistCommand,
 )
 
-MAX_KINDS = 256  # told apart by the throttle; a robot file has far fewer
-REPEAT_NS = 1_000_000_000  # the same event is told at most this often; what was held back is counted
-GREETING_NS = 1_000_000_000  # motors that have not answered yet are no news for so long after start
-_BUS_LEVELS = {BusEventKind.UP: Level.INFO, BusEventKind.ERROR_ACTIVE: Level.INFO, BusEventKind.DOWN: Level.ERROR}
-_MODE_LEVELS = {Mode.ESTOP: Level.ERROR, Mode.FAULT: Level.ERROR, Mode.DEGRADED: Level.WARNING}
-_REASONS = {
+MAX_KINDS: Final = 256  # told apart by the throttle; a robot file has far fewer
+REPEAT_NS: Final = 1_000_000_000  # the same event is told at most this often; what was held back is counted
+GREETING_NS: Final = 1_000_000_000  # motors that have not answered yet are no news for so long after start
+_BUS_LEVELS: Final = {
+    BusEventKind.UP: Level.INFO,
+    BusEventKind.ERROR_ACTIVE: Level.INFO,
+    BusEventKind.DOWN: Level.ERROR,
+}
+_MODE_LEVELS: Final = {Mode.ESTOP: Level.ERROR, Mode.FAULT: Level.ERROR, Mode.DEGRADED: Level.WARNING}
+_REASONS: Final = {
     Mode.IDLE: "waiting for a fresh zero command",
     Mode.STARTING: "arming the motors",
     Mode.ESTOP: "emergency stop: needs a reset",
     Mode.FAULT: "coming to rest",
 }
-_NO_EVENTS: tuple[Event, ...] = ()
+_NO_EVENTS: Final[tuple[Event, ...]] = ()
 
 
 class Due:

@@ -22,7 +22,7 @@ from functools import partial
 from math import isfinite
 from struct import Struct
 from types import BuiltinFunctionType, FunctionType, MethodType
-from typing import Any
+from typing import Any, Final
 
 from gateway.config import RobotConfig
 
@@ -30,7 +30,7 @@ Node = Any  # plain data
 State = dict[str, Node]
 
 # Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
-OWNERS: Mapping[str, frozenset[str]] = {
+OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.engine.Engine": frozenset(
         {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
@@ -67,12 +67,12 @@ OWNERS: Mapping[str, frozenset[str]] = {
     ),
 }
 # The parts of a robot as they were put together: of these only what owns state is walked over.
-AS_BUILT = frozenset({"gateway.core.assembly.Robot.kinematics", "gateway.core.assembly.Robot.limits"})
-_BUILT_TYPES = (FunctionType, BuiltinFunctionType, MethodType, partial, Struct)
-_KINEMATICS = "gateway.kinematics."
-_OURS = ("gateway.", "drivers.")
-_BUILT: Node = {"x": 0}
-_OTHER = "the snapshot is of another version of the software"
+AS_BUILT: Final = frozenset({"gateway.core.assembly.Robot.kinematics", "gateway.core.assembly.Robot.limits"})
+_BUILT_TYPES: Final = (FunctionType, BuiltinFunctionType, MethodType, partial, Struct)
+_KINEMATICS: Final = "gateway.kinematics."
+_OURS: Final = ("gateway.", "drivers.")
+_BUILT: Final[Node] = {"x": 0}
+_OTHER: Final = "the snapshot is of another version of the software"
 
 
 class SnapshotError(ValueError):

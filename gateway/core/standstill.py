@@ -5,9 +5,11 @@ counts as well, and where nothing at all can be measured, instead. No measuremen
 but braking goes on as long as anything measured turns.
 """
 
-REST_DWELL_NS = 250_000_000  # wheels must stand for so long: creeping is not rest
-ROLL_NS = 100_000_000  # a wheel must turn for so long: a touch is no rolling
-REST_TIMEOUT_NS = 4_000_000_000  # a robot whose motion is not known is believed to stand after so long
+from typing import Final
+
+REST_DWELL_NS: Final = 250_000_000  # wheels must stand for so long: creeping is not rest
+ROLL_NS: Final = 100_000_000  # a wheel must turn for so long: a touch is no rolling
+REST_TIMEOUT_NS: Final = 4_000_000_000  # a robot whose motion is not known is believed to stand after so long
 
 
 class Standstill:

@@ -10,7 +10,7 @@ the next mode. Rules that the table must keep, tested cell by cell:
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.types import Mode
 
@@ -91,7 +91,7 @@ def cleared(now: Situation) -> bool:
     return now.rested and not now.faulty
 
 
-TRANSITIONS: dict[Mode, tuple[tuple[Condition, Mode], ...]] = {
+TRANSITIONS: Final[dict[Mode, tuple[tuple[Condition, Mode], ...]]] = {
     Mode.IDLE: ((estop, Mode.ESTOP), (latched, Mode.FAULT), (startable, Mode.STARTING)),
     Mode.STARTING: (
         (estop, Mode.ESTOP),

@@ -1,7 +1,7 @@
 """Geometry of each chassis kind. A new chassis is one file here and one line in `KINEMATICS`."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from gateway.config import OffsetDifferentialRobot, OmniRobot
 from gateway.kinematics.contract import Kinematics
@@ -22,7 +22,7 @@ def _offset_differential(robot: OffsetDifferentialRobot) -> Kinematics:
     )
 
 
-KINEMATICS: dict[str, Callable[[Any], Kinematics]] = {
+KINEMATICS: Final[dict[str, Callable[[Any], Kinematics]]] = {
     "omni": _omni,
     "offset_differential": _offset_differential,
 }

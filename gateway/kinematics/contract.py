@@ -1,12 +1,12 @@
 """What every chassis answers: one small protocol, both directions from the same rows."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from gateway.kinematics.linear import Matrix
 from gateway.types import Twist
 
-MAX_CONDITION = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
+MAX_CONDITION: Final = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
 
 
 class GeometryError(ValueError):

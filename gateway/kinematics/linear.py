@@ -9,15 +9,15 @@ large matrices, for those of a chassis (up to 16 wheels, 3 or 4 axes) a fraction
 """
 
 from math import inf, sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.arithmetic import dot
 
 Vector = tuple[float, ...]
 Matrix = tuple[Vector, ...]  # its rows
 
-_EPSILON = 2.220446049250313e-16  # distance from 1 to the next float
-_SWEEPS = 40  # it takes five to eight; each squares what is left of the angles
+_EPSILON: Final = 2.220446049250313e-16  # distance from 1 to the next float
+_SWEEPS: Final = 40  # it takes five to eight; each squares what is left of the angles
 
 
 class Decomposition(NamedTuple):

@@ -10,7 +10,7 @@ The wheel rows are written once, in `_rows`; the forward direction solves the sa
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Estimate, GeometryError, Reach
@@ -18,8 +18,8 @@ from gateway.kinematics.linear import Matrix
 from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
-PLATFORM = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
-MIN_AXLE_OFFSET = 1e-3  # m; singular at zero (science: det J = R^2 d1 / d2)
+PLATFORM: Final = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
+MIN_AXLE_OFFSET: Final = 1e-3  # m; singular at zero (science: det J = R^2 d1 / d2)
 
 
 class CasterGeometry(NamedTuple):

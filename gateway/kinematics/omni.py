@@ -10,7 +10,7 @@ pseudo-inverse of the paper is wrong.
 
 from collections.abc import Sequence
 from math import sqrt
-from typing import NamedTuple, cast
+from typing import Final, NamedTuple, cast
 
 from gateway.arithmetic import dot, sin_cos
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
@@ -18,8 +18,8 @@ from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo
 from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
-_AXES = 3
-_INVERSE_TOLERANCE = 1e-9
+_AXES: Final = 3
+_INVERSE_TOLERANCE: Final = 1e-9
 
 
 class WheelPose(NamedTuple):
