@@ -11,6 +11,7 @@ energy is the nearest (Gauss' principle of least constraint); so nobody has to w
 
 from collections.abc import Sequence
 from enum import Enum
+from itertools import combinations
 from math import sqrt
 from typing import NamedTuple
 
@@ -47,20 +48,44 @@ def reachable(rows: Matrix, uses: Sequence[JointUse], inertia: Matrix) -> Reacha
 
     Raises ValueError on an inertia that is not symmetric and positive definite.
     """
-    factor = _cholesky(inertia)
+    size, factor = len(inertia), _cholesky(inertia)
     inverse = pseudo_inverse(factor)
     seen = product(rows, inverse)  # per unit of y = factor v, whose square is twice the kinetic energy
     longest = max(sqrt(dot(row, row)) for row in seen)
     held = [row for row, use in zip(seen, uses, strict=True) if use is JointUse.HELD]
-    _, allowed = _split(held, longest)
+    _, allowed = _split(held, longest, size)
     pushed = [_within(row, allowed) for row, use in zip(seen, uses, strict=True) if use is JointUse.USABLE]
-    driven, rest = _split(pushed, longest)
-    onto = product(transpose(driven), driven) if driven else ((0.0,) * len(inertia),) * len(inertia)
+    driven, rest = _split(pushed, longest, size)
+    onto = product(transpose(driven), driven) if driven else ((0.0,) * size,) * size
     return Reachable(
         basis=tuple(_image(inverse, one) for one in driven),
         lost=tuple(_image(inverse, one) for one in rest),
         projection=product(product(inverse, onto), factor),
     )
+
+
+def effort(rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], basis: Matrix) -> float:
+    """Share of the acceleration of all motors that the usable ones give in every direction of the basis; 0 to 1.
+
+    `torques`: N m that each motor has. What motors can push is a zonotope, spanned by one vector per motor. One lies
+    within another, shrunk by this much, if it does so along every facet's normal of the other, and those are at right
+    angles to all but one of its dimensions' worth of spanning vectors (Ziegler, Lectures on Polytopes, section 7.3).
+    """
+    every = [tuple([dot(row, one) * torque for one in basis]) for row, torque in zip(rows, torques, strict=True)]
+    usable = [vector for vector, use in zip(every, uses, strict=True) if use is JointUse.USABLE]
+    if not basis or not usable:
+        return 0.0
+    longest = max(sqrt(dot(vector, vector)) for vector in every)
+    share = 1.0
+    for spanning in combinations(usable, len(basis) - 1):
+        _, normals = _split(spanning, longest, len(basis))
+        for normal in normals if len(normals) == 1 else ():  # vectors in one line or plane bound no facet
+            share = min(share, _extent(usable, normal) / _extent(every, normal))
+    return share
+
+
+def _extent(vectors: Sequence[Vector], normal: Vector) -> float:
+    return sum([abs(dot(vector, normal)) for vector in vectors], 0.0)
 
 
 def _cholesky(inertia: Matrix) -> Matrix:
@@ -84,9 +109,9 @@ def _within(row: Vector, basis: Matrix) -> Vector:
     return _image(transpose(basis), _image(basis, row))
 
 
-def _split(vectors: Sequence[Vector], longest: float) -> tuple[Matrix, Matrix]:
+def _split(vectors: Sequence[Vector], longest: float, size: int) -> tuple[Matrix, Matrix]:
     """Orthonormal bases of what these span and of the rest; up to 1e-6 of the longest counts as rounding."""
-    found = decompose(tuple(vectors) or ((0.0, 0.0, 0.0),))
+    found = decompose(tuple(vectors) or ((0.0,) * size,))
     rank = len([value for value in found.values if value > longest / MAX_CONDITION])
     return found.right[:rank], found.right[rank:]
 

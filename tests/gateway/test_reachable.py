@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.kinematics.linear import Matrix
-from gateway.kinematics.reachable import JointUse, Reachable, reachable
+from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
 
 USABLE, FREE, HELD = JointUse.USABLE, JointUse.FREE, JointUse.HELD
 R, D1, D2 = 0.1, 0.25, 0.4  # Otbot
@@ -144,3 +144,46 @@ def test_whatever_the_usable_motors_push_leads_into_the_reachable_twists(
         return  # rows that hold the same twice, nearly or exactly, have no multipliers of their own
     rate = np.linalg.lstsq(system, np.concatenate([force, np.zeros(size)]), rcond=None)[0][:3]
     assert found.nearest(tuple(rate)) == pytest.approx(tuple(rate), abs=1e-6 * (1.0 + float(np.abs(rate).max())))
+
+
+def effort_of(rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float]) -> float:
+    return effort(rows, uses, torques, reachable(rows, uses, INERTIA).basis)
+
+
+def test_effort_by_hand() -> None:
+    """A ring of four without one pushes half as hard in its worst direction, one of six 0.625 times.
+
+    Two opposite wheels still do all that can be done along their line, and half of the turning: half, then.
+    """
+    torques = (2.0,) * 4
+    assert effort_of(FOUR, (USABLE,) * 4, torques) == pytest.approx(1.0)
+    assert effort_of(FOUR, (FREE, USABLE, USABLE, USABLE), torques) == pytest.approx(0.5)
+    assert effort_of(FOUR, (USABLE, FREE, USABLE, FREE), torques) == pytest.approx(0.5)
+    assert effort_of(FOUR, (FREE,) * 4, torques) == 0.0
+    six = ring([k * math.pi / 3 for k in range(6)])
+    assert effort_of(six, (FREE, *(USABLE,) * 5), (2.0,) * 6) == pytest.approx(0.625)
+
+
+def test_otbot_drives_as_hard_without_its_platform_motor_as_with_it() -> None:
+    """Yaw apart: the wheels alone push it along; with the motor there the joint's torque adds a little across."""
+    for phi in (0.0, 0.7, 2.0):
+        share = effort_of(otbot(phi), (USABLE, USABLE, FREE), (75.0, 75.0, 229.0))
+        assert 0.2 < share <= 1.0
+
+
+@settings(max_examples=100, deadline=None)
+@given(angles, uses_of, st.lists(st.floats(0.5, 5.0), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
+def test_effort_is_the_least_share_over_all_directions(
+    at: list[float], uses: list[JointUse], torques: list[float], seed: int
+) -> None:
+    """A body within another has the smaller extent along every normal; random normals come close to the worst one."""
+    rows, given_uses, found = drawn(at, uses, 0.1)
+    if not found.basis:
+        return
+    share = effort(rows, given_uses, torques[: len(at)], found.basis)
+    seen = np.array(rows) @ np.array(found.basis).T * np.array(torques[: len(at)])[:, None]
+    normals = np.random.default_rng(seed).normal(size=(20_000, len(found.basis)))
+    usable = np.array([use is USABLE for use in given_uses])
+    shares = np.abs(seen[usable] @ normals.T).sum(axis=0) / np.abs(seen @ normals.T).sum(axis=0)
+    assert share <= shares.min() * (1.0 + 1e-9)
+    assert share >= shares.min() - 0.05
