@@ -85,7 +85,10 @@ def effort(rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], bas
 
 
 def _extent(vectors: Sequence[Vector], normal: Vector) -> float:
-    return sum([abs(dot(vector, normal)) for vector in vectors], 0.0)
+    total = 0.0
+    for vector in vectors:
+        total += abs(dot(vector, normal))
+    return total
 
 
 def _cholesky(inertia: Matrix) -> Matrix:
