@@ -140,6 +140,18 @@ class Stop(_Section):
     category: Literal[1, 2] = 1
 
 
+class Degraded(_Section):
+    """What a robot does when it has lost a motor, and with it some way to move; with every way left it drives on.
+
+    `limp`: it drives what is left, at `speed` (share of limits.velocity); `stop`: it comes to rest, as a fault.
+    `encoder_lost`: also how the motor turns is not known any more.
+    """
+
+    motor_lost: Literal["stop", "limp"] = "stop"
+    encoder_lost: Literal["stop", "limp"] = "stop"
+    speed: Annotated[float, Field(ge=0.01, le=1.0)] = 0.3
+
+
 class WatchdogConfig(_Section):
     """The controller's own command timeout, with the parameter numbers of exactly this firmware version."""
 
@@ -171,6 +183,7 @@ class Motor(_Section):
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
     # Only "absolute" (at the output, also after a power cut) lets a steered joint drive without being referenced first.
     encoder: Literal["absolute", "incremental"] = "incremental"
+    when_lost: Literal["free", "held"] = "free"  # its joint, without current: a brake or a worm gear holds it
     watchdog: WatchdogConfig | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
@@ -234,6 +247,7 @@ class RobotConfig(_Section):
     loop: Loop = Loop()
     limits: Limits
     stop: Stop = Stop()
+    degraded: Degraded = Degraded()
     motor: Annotated[list[Motor], Field(min_length=1, max_length=32)]
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
     commands: Commands

@@ -208,6 +208,20 @@ class SourceStatus(NamedTuple):
     reason: str | None
 
 
+class AbilityStatus(NamedTuple):
+    """What the robot can do with the motors it has left. `rank`: number of independent ways to move.
+
+    `effort`: share of its acceleration, `speed`: of its top speeds. `reachable`: where ways are lost, the furthest
+    twist along each that is left; `lost`: along the others, which it no longer controls. Both empty: nothing is lost.
+    """
+
+    rank: int
+    effort: float
+    speed: float
+    reachable: tuple[Twist, ...]
+    lost: tuple[Twist, ...]
+
+
 class Status(NamedTuple):
     """What a person or a fleet manager wants to know of the robot, at the status rate."""
 
@@ -228,6 +242,7 @@ class Status(NamedTuple):
     overruns: int
     dropped_records: int
     cycle: int
+    ability: AbilityStatus
 
 
 class Trace(NamedTuple):

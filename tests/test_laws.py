@@ -14,3 +14,12 @@ WILD, KIND = range(4), range(100, 103)  # numbers of the drives
 def test_no_random_drive_breaks_a_law(name: str, seed: int, can_brake: bool) -> None:
     found = drive(seed, parse(robot_text(name), name), can_brake=can_brake).violations
     assert {law: broken[0] for law, broken in found.items() if broken} == {}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", range(4, 8))
+def test_nor_does_one_of_a_robot_that_may_limp(name: str, seed: int) -> None:
+    limp = '[degraded]\nmotor_lost = "limp"\nencoder_lost = "limp"\nspeed = 0.5\n\n[limits]'
+    config = parse(robot_text(name).replace("[limits]", limp, 1), name)
+    found = drive(seed, config, can_brake=False).violations
+    assert {law: broken[0] for law, broken in found.items() if broken} == {}

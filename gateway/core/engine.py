@@ -22,6 +22,7 @@ from gateway.config import RobotConfig
 from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess
 from gateway.core import snapshot as snapshots
+from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
 from gateway.core.detectors import SlipDetector
@@ -59,6 +60,9 @@ SLACK: Final = 0.1  # of top speed by which a braking setpoint may be ahead of t
 RETREAT: Final = 5.0  # top speeds per second at which it is taken back beyond that: no step, whatever was measured
 
 
+Numbers = Sequence[float | None]
+
+
 class Engine:
     """From `Inputs` to `Outputs`, once per cycle; one writer, one thread.
 
@@ -80,6 +84,8 @@ class Engine:
             acceleration=config.limits.acceleration.as_twist(),
             jerk=config.limits.jerk.as_twist(),
         )
+        self._abilities = Abilities(config, robot)
+        self._ability: Ability | None = FULL
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
@@ -97,6 +103,7 @@ class Engine:
         self._unheard = False  # on the way to rest the setpoint went to nobody, and no motor has told its speed since
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
+        self._believable: tuple[bool, ...] = (True,) * len(robot.names)
         self._measured = self._motors.measure(0, self._period)  # nothing yet
         self._robot_file = snapshots.fingerprint(config)
         if state is not None:
@@ -118,8 +125,10 @@ class Engine:
         self._receive(inputs)
         self._measured = measured = self._measure(now_ns, dt)
         health = self._judge(measured)
+        self._believable = health.brakable
         selection = self._arbiter.select(now_ns)
         replies, granted = self._answer(inputs)
+        self._ability = self._abilities.of(health, measured)
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
         motion = self._limit(target, measured, health)
@@ -197,11 +206,11 @@ class Engine:
 
     def _measure(self, now_ns: int, dt: float) -> Measured:
         measured = self._motors.measure(now_ns, dt)
-        speeds = measured.speeds
         angles = self._trust.angles(measured.positions)
         deltas, jumped = self._odometry.deltas(angles, measured.ages_ns, now_ns)
         self._trust.watch(angles, jumped, now_ns)
         trusted = self._trust.trusted(angles)
+        speeds, deltas = self._believed(measured.speeds, deltas, trusted)
         estimate = self._kinematics.twist(speeds, trusted)
         residual = estimate.residual if estimate else None
         measurable = estimate is not None or None not in speeds
@@ -209,6 +218,17 @@ class Engine:
         self._odometry.update(deltas, trusted, residual=residual, dt=dt)
         self._slip.look(residual, dt)
         return measured._replace(angles=tuple(trusted), estimate=estimate, slipping=self._slip.slipping)
+
+    def _believed(
+        self, speeds: Numbers, deltas: list[float | None], angles: Numbers
+    ) -> tuple[Numbers, list[float | None]]:
+        """Without those of wheels that are known to tell something wrong, as long as the others suffice."""
+        if all(self._believable):
+            return speeds, deltas
+        others = [speed if ok else None for speed, ok in zip(speeds, self._believable, strict=True)]
+        if self._kinematics.twist(others, angles) is None:
+            return speeds, deltas
+        return others, [delta if ok else None for delta, ok in zip(deltas, self._believable, strict=True)]
 
     def _expected_speed(self, index: int) -> float | None:
         """Speed of one wheel as the other wheels have it, rad/s."""
@@ -302,7 +322,6 @@ class Engine:
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
         well = not health.faults and all(health.usable)
-        blocked = not well and not self._kinematics.reach(health.usable).complete
         unarmed = self._motors.not_operational(health.usable)
         overdue = self._mode is Mode.STARTING and now_ns - self._mode_since_ns > ARMING_TIMEOUT_NS
         mode = next_mode(
@@ -311,7 +330,7 @@ class Engine:
                 estop=bool(inputs.requests) and any(one.kind is RequestKind.ESTOP for one in inputs.requests),
                 reset=granted,
                 shutdown=self._shutdown,
-                blocked=blocked,
+                blocked=not well and self._ability is None,
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
                 reduced=not all(health.usable),
@@ -372,14 +391,20 @@ class Engine:
         s, c = sin_cos(self._odometry.pose.theta)
         return Twist(c * vx + s * vy, c * vy - s * vx, wz)
 
+    def _reached(self, wanted: Twist) -> Twist:
+        """What of it the motors left can drive."""
+        return wanted if self._ability is None else self._ability.target(wanted, self._velocity)
+
     def _limit(self, target: Twist, measured: Measured, health: Health) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
+        if self._mode is Mode.DEGRADED and self._ability is not None and self._ability.reach is not None:
+            limits = (*limits, "limp")
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
             headroom = self._motors.headroom(measured)
-            effort = self._kinematics.reach(health.usable).effort if self._mode is Mode.DEGRADED else 1.0
-            _, active = self._limiter.step(target, measured.dt, effort=effort, headroom=headroom)
+            effort = self._ability.effort if self._ability is not None else 1.0
+            _, active = self._limiter.step(self._reached(target), measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
         elif braking:
             self._brake(measured, health)
@@ -492,6 +517,7 @@ class Engine:
             overruns=inputs.overruns,
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
+            ability=self._abilities.describe(self._ability),
         )
 
 

@@ -34,6 +34,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.engine.Engine": frozenset(
         {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
+    "gateway.core.ability.Abilities": frozenset(
+        {"_inertia", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
+    ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),

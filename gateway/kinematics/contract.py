@@ -60,8 +60,8 @@ class Kinematics(Protocol):
         """What the usable motors alone can do, at joint angle zero."""
         ...
 
-    def matrix(self) -> Matrix:
-        """Wheel matrix (n x 3, rad/s per m/s and rad/s) at joint angle zero, for inspection."""
+    def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
+        """Wheel matrix (n x 3, rad/s per m/s and rad/s) at these joint angles, None: all at zero."""
         ...
 
 

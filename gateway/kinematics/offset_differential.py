@@ -82,9 +82,9 @@ class OffsetDifferentialKinematics:
         """Three motors for three axes: every one is needed."""
         return self._reach.of(usable)
 
-    def matrix(self) -> Matrix:
-        """Wheel matrix with the platform looking along the chassis."""
-        (lx, ly), (rx, ry), (px, py) = self._rows(0.0)
+    def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
+        """Wheel matrix at this joint angle; None: the platform looks along the chassis."""
+        (lx, ly), (rx, ry), (px, py) = self._rows(0.0 if positions is None else positions[PLATFORM])
         return (lx, ly, 0.0), (rx, ry, 0.0), (px, py, 1.0)
 
     def caster_rates(self, twist: Twist, *, phi: float, beta: float) -> CasterRates:

@@ -88,7 +88,7 @@ class OmniKinematics:
         """Three independent wheels reach every direction; the others roll along."""
         return self._reach.of(usable)
 
-    def matrix(self) -> Matrix:
+    def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
         """Wheel matrix, rad/s per (m/s, m/s, rad/s)."""
         return self._rows
 

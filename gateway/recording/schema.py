@@ -290,4 +290,5 @@ def status_row(status: Status) -> Row:
     named = status._asdict()  # plain JSON of a tuple would lose the names
     named["sources"] = [source._asdict() for source in status.sources]
     named["motors"] = [motor._asdict() for motor in status.motors]
+    named["ability"] = status.ability._asdict()
     return (msgspec.json.encode(named).decode(),)

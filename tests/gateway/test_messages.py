@@ -16,6 +16,7 @@ from gateway.edges import messages
 from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, TruthMessage, parse_twist
 from gateway.types import (
     ZERO_TWIST,
+    AbilityStatus,
     Event,
     Level,
     Mode,
@@ -67,6 +68,7 @@ STATUS = Status(
     overruns=1,
     dropped_records=0,
     cycle=17,
+    ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
 )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.edges.systemd import MOTORS_LIMIT_NS, STATUS_LINE_NS, Notifier, Readiness
-from gateway.types import BusEvent, BusEventKind, Mode, MotorStatus, Pose, Status
+from gateway.types import AbilityStatus, BusEvent, BusEventKind, Mode, MotorStatus, Pose, Status, Twist
 
 MOTOR = MotorStatus("left", "idle", None, None, None, None, None, None, None)
 STATUS = Status(
@@ -29,6 +29,7 @@ STATUS = Status(
     overruns=0,
     dropped_records=0,
     cycle=0,
+    ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
 )
 SILENT = STATUS._replace(motors=(MOTOR._replace(state="silent"),))
 DOWN = BusEvent("can0", BusEventKind.DOWN, 1, "no such device")

@@ -22,6 +22,7 @@ from gateway.recording.packets import Gap, Record
 from gateway.recording.schema import APPLICATION_ID, HEADER_ARCHETYPE, HEADER_COLUMNS, HEADER_PATH, SCHEMA_VERSION
 from gateway.types import (
     ZERO_TWIST,
+    AbilityStatus,
     BusEvent,
     BusEventKind,
     CycleTiming,
@@ -82,6 +83,7 @@ STATUS = Status(
     overruns=0,
     dropped_records=0,
     cycle=3,
+    ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
 )
 
 integers = st.integers(-(2**63), 2**63 - 1)

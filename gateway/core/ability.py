@@ -1,0 +1,123 @@
+"""What a robot can still do without some of its motors, and whether its owner lets it.
+
+How this works
+--------------
+With all motors, or with enough of the others to reach every direction, nothing changes but how hard it may accelerate.
+Where directions are lost the robot file decides, by what was lost: `stop` (a fault) or `limp`: what is commanded is
+replaced by the nearest motion that is left (`gateway.kinematics.reachable`), at a share of top speed. A robot that no
+longer sees how it moves, or whose geometry depends on an angle it does not know, cannot limp.
+"""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from gateway.arithmetic import dot
+from gateway.config import RobotConfig
+from gateway.control.drive_law import Measured
+from gateway.control.limits import excess, scale_to
+from gateway.core.assembly import Robot
+from gateway.core.health import Health
+from gateway.kinematics.contract import desaturate
+from gateway.kinematics.inertia import INERTIA
+from gateway.kinematics.linear import Matrix, Vector
+from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
+from gateway.types import AbilityStatus, Twist
+
+LIMP: Final = "limp"
+_HELD: Final = "held"
+
+
+class Ability(NamedTuple):
+    """`reach` None: every direction. `effort`: share of the acceleration, `speed`: of top speed, that may be used.
+
+    `rows`: of the wheels where they are now, rad/s per unit of each axis.
+    """
+
+    reach: Reachable | None
+    effort: float
+    speed: float
+    rows: Matrix = ()
+
+    def target(self, wanted: Twist, velocity: Twist) -> Twist:
+        """The nearest to what is wanted that can be driven, within this ability's share of the velocity limits."""
+        if self.reach is None:
+            return wanted
+        return scale_to(Twist(*self.reach.nearest(wanted)), Twist(*[axis * self.speed for axis in velocity]))
+
+
+FULL: Final = Ability(None, 1.0, 1.0)
+NOTHING_LEFT: Final = AbilityStatus(0, 0.0, 0.0, (), ())
+
+
+class Abilities:
+    """Judges what is left, each cycle. Keeps nothing: the same motors and angles are the same ability."""
+
+    def __init__(self, config: RobotConfig, robot: Robot) -> None:
+        motors = config.motors_in_order()
+        self._kinematics = robot.kinematics
+        self._inertia = INERTIA[config.robot.kind](config.robot)
+        self._torques = tuple(limits.torque for limits in robot.limits)
+        self._speeds = tuple(limits.speed for limits in robot.limits)
+        self._velocity = config.limits.velocity.as_twist()
+        self._lost_use = tuple(JointUse.HELD if motor.when_lost == _HELD else JointUse.FREE for motor in motors)
+        self._policy = config.degraded
+
+    def of(self, health: Health, measured: Measured) -> Ability | None:
+        """What the usable motors can do now; None: not what the robot file calls driving."""
+        usable = health.usable
+        if all(usable):
+            return FULL
+        lost = [index for index, ok in enumerate(usable) if not ok]
+        if all(self._lost_use[index] is JointUse.FREE for index in lost):
+            reach = self._kinematics.reach(usable)
+            if reach.complete:
+                return Ability(None, reach.effort, 1.0)
+        angles = self._angles(health, measured)
+        if angles is None or measured.estimate is None or not self._may_limp(lost, health, measured):
+            return None
+        return self._limping(usable, angles)
+
+    def describe(self, ability: Ability | None) -> AbilityStatus:
+        """For `state`: the furthest twists along each way that is left, and the ways that are not."""
+        if ability is None:
+            return NOTHING_LEFT
+        if ability.reach is None:
+            return AbilityStatus(len(Twist._fields), ability.effort, ability.speed, (), ())
+        left, lost = ability.reach.basis, ability.reach.lost
+        return AbilityStatus(
+            rank=len(left),
+            effort=ability.effort,
+            speed=ability.speed,
+            reachable=tuple(self._furthest(way, ability) for way in left),
+            lost=tuple(self._furthest(way, ability) for way in lost),
+        )
+
+    def _limping(self, usable: Sequence[bool], angles: Sequence[float]) -> Ability | None:
+        rows = self._kinematics.matrix(angles)
+        uses = [JointUse.USABLE if ok else lost for ok, lost in zip(usable, self._lost_use, strict=True)]
+        found = reachable(rows, uses, self._inertia(angles))
+        share = effort(rows, uses, self._torques, found.basis)
+        return Ability(found, share, self._policy.speed, rows) if share > 0.0 else None
+
+    def _angles(self, health: Health, measured: Measured) -> list[float] | None:
+        """Of all joints, where those that the geometry depends on are known; the others do not matter."""
+        for index in self._kinematics.steered:
+            if measured.angles[index] is None or not health.brakable[index]:
+                return None
+        return [0.0 if angle is None else angle for angle in measured.angles]
+
+    def _may_limp(self, lost: Sequence[int], health: Health, measured: Measured) -> bool:
+        """Whether the robot file lets it, for everything that was lost: a motor alone, or what tells how it turns."""
+        for index in lost:
+            blind = measured.speeds[index] is None or not health.brakable[index]
+            if (self._policy.encoder_lost if blind else self._policy.motor_lost) != LIMP:
+                return False
+        return True
+
+    def _furthest(self, way: Vector, ability: Ability) -> Twist:
+        """The longest twist along this way within the limits of body and motors, its largest part positive."""
+        sign = 1.0 if max(way, key=abs) > 0.0 else -1.0
+        size = excess(Twist(*way), self._velocity)
+        twist = [part * sign * ability.speed / size for part in way]
+        factor = desaturate([dot(row, twist) for row in ability.rows], self._speeds)
+        return Twist(*[part * factor for part in twist])
