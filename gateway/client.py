@@ -22,7 +22,14 @@ import zenoh
 
 from gateway.config import NAME_PATTERN
 from gateway.edges import keys, messages
-from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
+from gateway.edges.messages import (
+    AbilityMessage,
+    EventMessage,
+    OdometryMessage,
+    ResetAnswer,
+    StateMessage,
+    TruthMessage,
+)
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import ZERO_TWIST, Mode, TwistFrame
 
@@ -128,6 +135,11 @@ class Client:
         """The newest state, asked for; None: no answer."""
         payload = self._get(keys.STATUS, timeout)
         return None if payload is None else messages.decode_state(payload)
+
+    def reachable(self, timeout: float = 2.0) -> AbilityMessage | None:
+        """What the robot can still do, asked for; None: no answer."""
+        payload = self._get(keys.REACHABLE, timeout)
+        return None if payload is None else messages.decode_ability(payload)
 
     def config_text(self, timeout: float = 2.0) -> str | None:
         """The robot file of the running gateway; None: no answer."""

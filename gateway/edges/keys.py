@@ -9,8 +9,9 @@ CONFIG = "config"  # asked: the robot file
 ODOMETRY = "odometry"
 STATE = "state"
 EVENT = "event"
+REACHABLE = "reachable"  # published on change, and asked
 TRUTH = "truth"  # of a simulated robot
-PUBLISHED = (ODOMETRY, STATE, EVENT, TRUTH)
+PUBLISHED = (ODOMETRY, STATE, EVENT, TRUTH, REACHABLE)
 ALIVE = "alive"  # a liveliness token
 
 

@@ -63,7 +63,7 @@ class Outbox:
     def __init__(self) -> None:
         self.calls: SimpleQueue[bool] = SimpleQueue()  # True: something waits; False: the end
         self._newest: dict[str, deque[Callable[[], bytes]]] = {
-            name: deque(maxlen=1) for name in (keys.ODOMETRY, keys.STATE, keys.TRUTH)
+            name: deque(maxlen=1) for name in (keys.ODOMETRY, keys.STATE, keys.TRUTH, keys.REACHABLE)
         }
         self._events: deque[Callable[[], bytes]] = deque()
         self._lost = 0

@@ -9,6 +9,7 @@
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
+| `reachable`          | both       | `{"t", "rank", "effort", "speed", "reachable": [twist], "lost": [twist]}`      |
 | `truth`              | subscribe  | `{"t", "x", "y", "theta"}`; only from a simulated robot                        |
 | `status`             | get        | the newest `state`                                                             |
 | `config`             | get        | the robot file as it was read (TOML)                                           |
@@ -17,7 +18,9 @@
 A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
 MAX_PAYLOAD bytes. `frame` is "body" (when left out) or "odom". `seq` grows by any step from one command to the next.
 `stamp` is when it was sent, in seconds of a clock of the sender's own that never stands still and is never set;
-`sender` names the process, anew at each start of it. `t` is CLOCK_MONOTONIC of the cycle, seconds.
+`sender` names the process, anew at each start of it. `reachable` is put whenever it changes and answers a get: rank and
+shares of acceleration and speed that are left, and, where motors are lost, the furthest twist along each way that is
+left and along those that are not, as `{"vx", "vy", "wz"}`. `t` is CLOCK_MONOTONIC of the cycle, seconds.
 """
 
 import json
@@ -32,6 +35,7 @@ from pydantic_core import from_json, to_json
 
 from gateway.config import NAME_PATTERN
 from gateway.types import (
+    AbilityStatus,
     Event,
     Level,
     Odometry,
@@ -128,6 +132,13 @@ class StateMessage(NamedTuple):
     extras: dict[str, object]
 
 
+class AbilityMessage(NamedTuple):
+    """What the robot can still do, with the time from which it is so."""
+
+    t: float
+    ability: AbilityStatus
+
+
 class EventMessage(NamedTuple):
     """One event with the time of its cycle."""
 
@@ -155,6 +166,7 @@ class ResetAnswer(NamedTuple):
 
 _ODOMETRY = TypeAdapter(OdometryMessage)
 _STATE = TypeAdapter(StateMessage)
+_ABILITY = TypeAdapter(AbilityMessage)
 _EVENT = TypeAdapter(EventMessage)
 _TRUTH = TypeAdapter(TruthMessage)
 _RESET = TypeAdapter(ResetAnswer)
@@ -231,6 +243,24 @@ def state_document(state: StateMessage) -> dict[str, object]:
 
 def _state_json(state: StateMessage) -> bytes:
     return _json({"t": state.t} | state.status._asdict() | {"extras": state.extras})
+
+
+def encode_ability(ability: AbilityStatus, now_ns: int) -> bytes:
+    """Payload of `reachable`."""
+    twists = {
+        "reachable": [twist._asdict() for twist in ability.reachable],
+        "lost": [twist._asdict() for twist in ability.lost],
+    }
+    return _json({"t": now_ns / 1e9} | ability._asdict() | twists)
+
+
+def decode_ability(payload: bytes) -> AbilityMessage | None:
+    """Inverse of `encode_ability`."""
+    try:
+        document = from_json(payload)
+        return _ABILITY.validate_python({"t": document.pop("t"), "ability": document})
+    except (ValueError, KeyError, AttributeError, TypeError):  # no JSON, no such keys, no object
+        return None
 
 
 def encode_event(event: Event, now_ns: int) -> bytes:

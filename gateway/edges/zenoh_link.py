@@ -27,6 +27,7 @@ from gateway.edges.source_gate import SourceGate
 from gateway.edges.zenoh_questions import END, Questions, answer
 from gateway.edges.zenoh_session import CLOSE_S, LinkError, Receivers, open_zenoh
 from gateway.types import (
+    AbilityStatus,
     Event,
     Odometry,
     Pose,
@@ -58,7 +59,8 @@ class ZenohLink:
         self._mailbox = Mailbox(self._sources)
         self._outbox = Outbox()
         self._questions = Questions(self._mailbox.questions.append)
-        self._state: bytes | None = None
+        self._newest: dict[str, bytes] = {}  # of the payloads that are also asked for
+        self._ability: AbilityStatus | None = None
         self._session = open_zenoh(
             listen=config.zenoh.listen,
             connect=config.zenoh.connect,
@@ -78,7 +80,8 @@ class ZenohLink:
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
         for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference)):
             self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
-        self._receivers.answer(self._key(keys.STATUS), self._answer_status, ring=MAX_LOOKS)
+        for asked, told in ((keys.STATUS, keys.STATE), (keys.REACHABLE, keys.REACHABLE)):
+            self._receivers.answer(self._key(asked), partial(self._answer_newest, asked, told), ring=MAX_LOOKS)
         answer_config = partial(self._answer_config, config_text.encode())
         self._receivers.answer(self._key(keys.CONFIG), answer_config, ring=MAX_LOOKS)
         self._token = self._session.liveliness().declare_token(self._key(keys.ALIVE))
@@ -107,6 +110,9 @@ class ZenohLink:
             self._outbox.leave(keys.ODOMETRY, partial(messages.encode_odometry, odometry, now_ns))
         if status is not None:
             self._outbox.leave(keys.STATE, partial(messages.encode_state, status, now_ns, extras))
+            if status.ability != self._ability:
+                self._ability = status.ability
+                self._outbox.leave(keys.REACHABLE, partial(messages.encode_ability, status.ability, now_ns))
         if events:
             self._outbox.leave_events(events, now_ns)
 
@@ -144,8 +150,7 @@ class ZenohLink:
     def _send(self, _: bool) -> None:
         for name, payload in self._outbox.take():
             self._publishers[name].put(payload)
-            if name == keys.STATE:
-                self._state = payload
+            self._newest[name] = payload
 
     def _receive(self, source: str, gate: SourceGate, sample: zenoh.Sample) -> None:
         received_ns = time.monotonic_ns()
@@ -184,12 +189,13 @@ class ZenohLink:
             return
         self._questions.ask(query, key, request)
 
-    def _answer_status(self, query: zenoh.Query) -> None:
+    def _answer_newest(self, asked: str, told: str, query: zenoh.Query) -> None:
         with query:
-            if self._state is None:
-                query.reply_err("no state was published yet")
+            payload = self._newest.get(told)
+            if payload is None:
+                query.reply_err(f"no {told} was published yet")
                 return
-            query.reply(self._key(keys.STATUS), self._state, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(self._key(asked), payload, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _answer_config(self, text: bytes, query: zenoh.Query) -> None:
         with query:

@@ -208,3 +208,19 @@ def test_limp_needs_a_share_of_speed() -> None:
         text = robot_text("moby").replace("[limits]", LIMP.replace("0.3", bad), 1)
         with pytest.raises(ConfigError, match=r"degraded\.speed"):
             parse(text, "moby")
+
+
+def test_a_frozen_encoder_spoils_neither_speed_nor_way_of_the_others() -> None:
+    """omni4 turns and drives on with three; what the fourth goes on telling is left out, its pose stays right."""
+    config = parse(robot_text("omni4"), "omni4")
+    moments = driven(
+        config, command(0.6, 0.6, 0.2, 0.5), lost(2.0, config.robot.motor_names()[0], "encoder_frozen"), seconds=6.0
+    )
+    assert moments[-1].outputs.mode is Mode.DEGRADED
+    found = at(moments, 2.2).outputs  # by then it is found
+    assert found.mode is Mode.DEGRADED
+    for moment in moments:
+        if moment.t >= 2.2:
+            assert moment.outputs.trace.measured == pytest.approx(moment.truth.twist, abs=0.02)
+    missed = [a - b for a, b in zip(moments[-1].outputs.trace.pose, moments[-1].truth.pose, strict=True)]
+    assert missed == pytest.approx([0.0, 0.0, 0.0], abs=0.02)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from threading import Event as Flag
 from threading import Thread
@@ -23,6 +24,7 @@ from gateway.client import Client
 from gateway.config import RobotConfig, parse
 from gateway.edges.mailbox import MAX_QUESTIONS
 from gateway.edges.messages import (
+    AbilityMessage,
     EventMessage,
     OdometryMessage,
     ResetAnswer,
@@ -36,6 +38,7 @@ from gateway.edges.zenoh_link import NOT_EXACT, ZenohLink
 from gateway.edges.zenoh_questions import NO_ANSWER, TOO_MANY
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import (
+    AbilityStatus,
     Event,
     Level,
     Mode,
@@ -468,6 +471,21 @@ def test_status_and_robot_file_are_answered(link: ZenohLink, client: Client) -> 
     link.publish(odometry=None, status=STATUS, events=(), now_ns=2_000_000_000, extras={"recording": "healthy"})
     expected = StateMessage(2.0, STATUS, {"recording": "healthy"})
     assert eventually(lambda: client.status(TIMEOUT_S)) == expected
+
+
+def _tells(client: Client, expected: AbilityMessage) -> bool:
+    return client.reachable(TIMEOUT_S) == expected
+
+
+def test_what_the_robot_can_do_is_told_when_it_changes_and_answered(
+    link: ZenohLink, client: Client, endpoint: str
+) -> None:
+    assert client.reachable(TIMEOUT_S) is None
+    full = STATUS._replace(ability=AbilityStatus(3, 1.0, 1.0, (), ()))
+    for number, status in enumerate((STATUS, STATUS, full, full), 1):
+        link.publish(odometry=None, status=status, events=(), now_ns=number * 1_000_000_000)
+        expected = AbilityMessage(1.0 if number < 3 else 3.0, status.ability)
+        assert eventually(partial(_tells, client, expected))
 
 
 def test_what_the_loop_says_is_published(link: ZenohLink, client: Client) -> None:
