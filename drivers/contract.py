@@ -37,10 +37,16 @@ class CommandKind(Enum):
 
 
 class MotorCommand(NamedTuple):
-    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake."""
+    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake.
+
+    The other two are of a velocity only. `feed_forward`: N m at the shaft that the controller's speed loop adds;
+    `limit`: N m at the shaft that it may use at most, not negative (None: all that the motor has).
+    """
 
     kind: CommandKind
     value: float = 0.0
+    feed_forward: float = 0.0
+    limit: float | None = None
 
 
 COAST = MotorCommand(CommandKind.COAST)
@@ -80,13 +86,18 @@ class MotorFeedback(NamedTuple):
 
 
 class Capabilities(NamedTuple):
-    """What a controller can do on its own; every controller can coast."""
+    """What a controller can do on its own; every controller can coast, and one that takes a velocity can brake.
 
-    velocity: bool
-    torque: bool
-    voltage: bool
-    brake: bool
-    device_watchdog: bool
+    `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
+    """
+
+    velocity: bool = False
+    torque: bool = False
+    voltage: bool = False
+    brake: bool = False
+    feed_forward: bool = False
+    limit: bool = False
+    device_watchdog: bool = False
 
 
 class Watchdog(NamedTuple):
@@ -157,7 +168,9 @@ class Driver(Protocol):
     """Sans-IO state machine of one group of motors. Per-motor sequences are always in the order of the specs."""
 
     @property
-    def capabilities(self) -> Capabilities: ...
+    def capabilities(self) -> tuple[Capabilities, ...]:
+        """What the controller of each motor can do; it differs within a group where variants do."""
+        ...
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours. Foreign, short and wild frames never raise."""
@@ -167,7 +180,8 @@ class Driver(Protocol):
         """Advance every motor's state towards its command; the frames to send in this cycle.
 
         A motor commanded anything but COAST is brought up (armed) if it is not; one commanded COAST is released.
-        Values beyond a limit saturate. A NaN or an unsupported kind raises ValueError: that is our own bug.
+        Values beyond a limit saturate. A NaN, or anything that the capabilities do not claim, raises ValueError
+        naming the motor: that is our own bug.
         """
         ...
 

@@ -212,9 +212,9 @@ class DjiDriver:
         self._zero_frames = [CanFrame(bus, identifier, bytes(8)) for identifier, _ in self._command_frames]
 
     @property
-    def capabilities(self) -> Capabilities:
+    def capabilities(self) -> tuple[Capabilities, ...]:
         """Torque only; braking is the host's speed loop."""
-        return Capabilities(velocity=False, torque=True, voltage=False, brake=False, device_watchdog=False)
+        return (Capabilities(torque=True),) * len(self._motors)
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -227,10 +227,11 @@ class DjiDriver:
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """The command frames; a motor that is not heard gets current 0."""
         raws = [0] * len(IDS)
-        for motor, (kind, value) in zip(self._motors, commands, strict=True):
+        for motor, command in zip(self._motors, commands, strict=True):
+            kind, value, feed_forward, limit = command
             torque = kind is _TORQUE
-            if isnan(value) or not (torque or kind is _COAST):
-                raise ValueError(f"motor {motor.spec.name}: {kind.value} {value}: must be torque in N m, or coast")
+            if isnan(value) or not (torque or kind is _COAST) or feed_forward != 0.0 or limit is not None:
+                raise ValueError(f"motor {motor.spec.name}: {command}: must be a torque in N m alone, or coast")
             motor.commanded = torque
             if torque and motor.trusted(now_ns):
                 raws[motor.slot] = motor.raw(value)

@@ -142,15 +142,17 @@ class Axis:
         """Ask for a message of the controller."""
         return CanFrame(self.bus, self._id(command), b"", remote=True)
 
-    def setpoint(self, kind: CommandKind, value: float) -> CanFrame:
-        """The setpoint of an armed axis, within its limits."""
+    def setpoint(self, kind: CommandKind, value: float, feed_forward: float) -> CanFrame:
+        """The setpoint of an armed axis, within its limits; `feed_forward` (N m) goes with a velocity."""
+        torque = self.spec.max_torque
         if kind is _VELOCITY:
             limit = self.spec.max_speed
             value = limit if value > limit else -limit if value < -limit else value
-            return CanFrame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, 0.0))
+            if feed_forward != 0.0:
+                feed_forward = torque if feed_forward > torque else -torque if feed_forward < -torque else feed_forward
+            return CanFrame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, feed_forward))
         if kind is _TORQUE:
-            limit = self.spec.max_torque
-            value = limit if value > limit else -limit if value < -limit else value
+            value = torque if value > torque else -torque if value < -torque else value
             return CanFrame(self.bus, self._torque_id, _PACK_TORQUE(value))
         return self.zero_frame
 

@@ -46,7 +46,7 @@ _Route = tuple[Callable[[bytes], tuple[Any, ...]], int, int, Callable[[tuple[Any
 class OdriveDriver:
     """The ODrive axes of one bus."""
 
-    __slots__ = ("_axes", "_bus", "_by_node", "_capabilities", "_routes")
+    __slots__ = ("_axes", "_bus", "_by_node", "_routes")
 
     variants: ClassVar[tuple[str, ...]] = tuple(FIRMWARES)
 
@@ -62,15 +62,24 @@ class OdriveDriver:
             for axis in self._axes
             for identifier, (message, take) in axis.receivers().items()
         }
-        verifiable = all(axis.firmware.tells_version for axis in self._axes)
-        self._capabilities = Capabilities(
-            velocity=True, torque=True, voltage=False, brake=True, device_watchdog=verifiable
-        )
 
     @property
-    def capabilities(self) -> Capabilities:
-        """Velocity, torque and brake; a watchdog only where it can be read back."""
-        return self._capabilities
+    def capabilities(self) -> tuple[Capabilities, ...]:
+        """Velocity with a torque added, torque and brake; a watchdog only where it can be read back.
+
+        No limit with a command: Set_Limits is a frame of its own that nobody confirms, so one that is lost would
+        leave too little torque to brake with; and a limit below the current that flows is a fault that disarms.
+        """
+        return tuple(
+            Capabilities(
+                velocity=True,
+                torque=True,
+                brake=True,
+                feed_forward=True,
+                device_watchdog=axis.firmware.tells_version,
+            )
+            for axis in self._axes
+        )
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -90,16 +99,17 @@ class OdriveDriver:
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """Advance every axis towards its command; one setpoint per axis, and what bring-up needs."""
         frames: list[CanFrame] = []
-        for axis, (kind, value) in zip(self._axes, commands, strict=True):
-            if kind is not axis.kind or isnan(value):
-                _accept(axis, kind, value)
+        for axis, command in zip(self._axes, commands, strict=True):
+            kind, value, feed_forward, limit = command
+            if kind is not axis.kind or isnan(value) or feed_forward != 0.0 or limit is not None:
+                _accept(axis, command)
             if (
                 axis.step is _ACTIVE
                 and axis.control is axis.wanted
                 and now_ns < axis.heartbeat_until_ns
                 and now_ns < axis.measured_until_ns
             ):
-                frames.append(axis.setpoint(kind, value))
+                frames.append(axis.setpoint(kind, value, feed_forward))
                 continue
             frames += advance(axis, now_ns)
             frames.append(axis.zero_frame)
@@ -164,9 +174,12 @@ class OdriveDriver:
         )
 
 
-def _accept(axis: Axis, kind: CommandKind, value: float) -> None:
-    if isnan(value) or kind not in CONTROLS:
-        raise ValueError(f"motor {axis.spec.name}: {kind.value} {value}: must be a number and one of ours")
+def _accept(axis: Axis, command: MotorCommand) -> None:
+    kind, value, feed_forward, limit = command
+    helped = feed_forward != 0.0 and kind is not CommandKind.VELOCITY
+    if isnan(value) or isnan(feed_forward) or helped or limit is not None or kind not in CONTROLS:
+        allowed = "a velocity, also with feed_forward, or a torque, brake or coast; no limit"
+        raise ValueError(f"motor {axis.spec.name}: {command}: must be {allowed}")
     axis.kind = kind
     axis.wanted = CONTROLS[kind]
 

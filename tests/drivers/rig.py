@@ -9,6 +9,7 @@ from typing import Protocol
 from drivers import DRIVERS
 from drivers.contract import (
     CanFrame,
+    Capabilities,
     CommandKind,
     DecodedFrame,
     Driver,
@@ -149,6 +150,18 @@ class FakeDji:
         if not self.powered:
             return []
         return [CanFrame(BUS, 0x200 + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
+
+
+def claimed(able: Capabilities) -> set[CommandKind]:
+    """The kinds of command that a controller of these capabilities takes."""
+    declared = {
+        CommandKind.VELOCITY: able.velocity,
+        CommandKind.TORQUE: able.torque,
+        CommandKind.VOLTAGE: able.voltage,
+        CommandKind.BRAKE: able.brake,
+        CommandKind.COAST: True,
+    }
+    return {kind for kind, given in declared.items() if given}
 
 
 class Bench:

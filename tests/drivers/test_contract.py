@@ -22,7 +22,7 @@ from drivers.contract import (
     MotorSpec,
     MotorState,
 )
-from tests.drivers.rig import BUS, MS, PAIRS, RIGS, WATCHDOG, Bench, FakeDji, FakeOdrive, Rig, bench, spec
+from tests.drivers.rig import BUS, MS, PAIRS, RIGS, WATCHDOG, Bench, FakeDji, FakeOdrive, Rig, bench, claimed, spec
 
 every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
 MOVING = (CommandKind.VELOCITY, CommandKind.TORQUE)
@@ -81,7 +81,7 @@ def test_unknown_variants_and_empty_groups_are_refused(driver: str, variant: str
 @every_variant
 def test_a_watchdog_that_cannot_be_verified_is_refused(driver: str, variant: str) -> None:
     if variant in RIGS[driver].watchdogs:
-        assert DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)]).capabilities.device_watchdog
+        assert DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)]).capabilities[0].device_watchdog
         return
     with pytest.raises(ValueError, match=r"motor_3: watchdog: .*watchdog_waiver"):
         DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)])
@@ -148,15 +148,51 @@ def test_nan_and_foreign_kinds_raise_in_any_state(driver: str, variant: str) -> 
 @every_variant
 def test_capabilities_are_the_kinds_it_takes(driver: str, variant: str) -> None:
     stand, rig = bench(driver, variant)
-    able = stand.driver.capabilities
-    declared = {
-        CommandKind.VELOCITY: able.velocity,
-        CommandKind.TORQUE: able.torque,
-        CommandKind.VOLTAGE: able.voltage,
-        CommandKind.BRAKE: able.brake,
-        CommandKind.COAST: True,
-    }
-    assert {kind for kind, given in declared.items() if given} == set(rig.kinds)
+    for able in stand.driver.capabilities:
+        assert claimed(able) == set(rig.kinds)
+        assert able.brake >= able.velocity, "the core brakes a motor that it gives velocities"
+    assert len(stand.driver.capabilities) == 2
+
+
+@every_variant
+def test_a_feed_forward_goes_with_a_velocity_within_the_torque_limit_and_leaves_nothing_behind(
+    driver: str, variant: str
+) -> None:
+    stand, rig = bench(driver, variant)
+    if not stand.driver.capabilities[0].feed_forward:
+        return
+    velocity = CommandKind.VELOCITY
+    for _ in range(250):
+        moving = sum(value != 0 for value in rig.asked(stand.cycle([MotorCommand(velocity, 0.0, 1.0)] * 2)))
+        assert moving <= stand.states.count(MotorState.OPERATIONAL)
+
+    def asked(feed_forward: float) -> list[float]:
+        return rig.asked(stand.cycle([MotorCommand(velocity, 3.0, feed_forward)] * 2))
+
+    plain = asked(0.0)
+    for value in (1e-3, 0.37, 1.9):
+        plus, minus = ([now - then for now, then in zip(asked(sign * value), plain, strict=True)] for sign in (1, -1))
+        assert plus == [-each for each in minus]
+        assert sum(plus) > 0.0
+    for value in (2.0 * 1.01, 1e300, math.inf):
+        assert asked(value) == asked(2.0)
+    for still in (BRAKE, COAST, MotorCommand(velocity)):
+        asked(1.0)
+        assert not any(rig.asked(stand.cycle([still] * 2)))
+    with pytest.raises(ValueError, match=f"motor_{rig.ids[1]}"):
+        stand.driver.command([COAST, MotorCommand(velocity, 1.0, math.nan)], now_ns=stand.now_ns)
+
+
+@every_variant
+def test_a_feed_forward_or_a_limit_where_none_is_claimed_is_refused(driver: str, variant: str) -> None:
+    stand, rig = bench(driver, variant)
+    able = stand.driver.capabilities[0]
+    extras = {(1.0, None): able.feed_forward, (0.0, 1.0): able.limit, (0.0, math.inf): able.limit}
+    for kind in rig.kinds:
+        for (feed_forward, limit), claims in extras.items():
+            if kind is not CommandKind.VELOCITY or not claims:
+                with pytest.raises(ValueError, match=f"motor_{rig.ids[0]}"):
+                    stand.driver.command([MotorCommand(kind, 0.0, feed_forward, limit), COAST], now_ns=stand.now_ns)
 
 
 @every_variant

@@ -13,6 +13,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from drivers.contract import Capabilities
+from drivers.odrive.group import OdriveDriver
 from gateway.config import ConfigError, load, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
@@ -79,6 +81,25 @@ def test_wrong_files_are_named_and_explained(name: str, right: str, wrong: str, 
     message = str(caught.value)
     assert message.startswith("robot.toml: ")
     assert all(word in message for word in words), message
+
+
+def test_speed_loops_follow_the_capabilities_of_each_motor_of_a_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Moby's three motors are one group of one driver."""
+    full = Capabilities(velocity=True, torque=True, brake=True, feed_forward=True, device_watchdog=True)
+    assert build(parse(robot_text("moby"), "moby")).capabilities == (full,) * 3
+    able = (full, Capabilities(torque=True), Capabilities(voltage=True))
+    monkeypatch.setattr(OdriveDriver, "capabilities", property(lambda _: able))
+    with pytest.raises(ConfigError) as caught:
+        build(parse(robot_text("moby"), "moby"))
+    missing, useless = caught.value.problems
+    assert missing == "motor right: speed_loop is missing: its controller takes only torque"
+    assert useless.startswith("motor platform: variant = '0.6': its controller takes neither a speed nor a torque")
+    able = (full, Capabilities(torque=True), full)
+    gains = "speed_loop = { kp = 1.0, ki = 1.0 }\n"
+    robot = build(parse(robot_text("moby").replace("id = 2\n", "id = 2\n" + gains, 1), "moby"))
+    assert [loop is not None for loop in robot.speed_loops] == [False, True, False]
+    helped = Capabilities(velocity=True, torque=True, brake=True, feed_forward=True, limit=True)
+    assert robot.capabilities == (full, helped, full), "with a loop on the host the joint obeys a limit too"
 
 
 C620 = """
