@@ -1,11 +1,12 @@
 """Checks that every driver makes of the motors it is given, and the one rule for when feedback is too old."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from math import inf
+from re import fullmatch
 from typing import NamedTuple
 
-from drivers.contract import IdUse, MotorSpec
+from drivers.contract import IdUse, MotorSpec, OptionValue
 
 MIN_FEEDBACK_TIMEOUT_NS = 50_000_000
 FEEDBACK_TIMEOUT_PERIODS = 5
@@ -27,6 +28,13 @@ class Bound(NamedTuple):
     high: float
     unit: str
     why: str
+
+
+class Option(NamedTuple):
+    """One key of a driver's own `options`: which values it takes, and the same in words."""
+
+    takes: Callable[[OptionValue], bool]
+    allowed: str
 
 
 def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range) -> None:
@@ -53,6 +61,29 @@ def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
             raise ValueError(f"motor {motor.name}: {key} = {value:.6g}: must be {_range(low, high, unit)}: {why}")
 
 
+def check_options(motor: MotorSpec, known: Mapping[str, Option], *, of: str) -> None:
+    """Raise ValueError for an option that is unknown, missing or not allowed. `of`: whose options, in words."""
+    for key, value in motor.options.items():
+        where = f"motor {motor.name}: options.{key} = {value!r}"
+        if key not in known:
+            raise ValueError(f"{where}: no such option; {of} has {', '.join(known) or 'none'}")
+        if not known[key].takes(value):
+            raise ValueError(f"{where}: must be {known[key].allowed}")
+    for key, option in known.items():
+        if key not in motor.options:
+            raise ValueError(f"motor {motor.name}: options.{key} is missing: must be {option.allowed}")
+
+
+def whole_number(low: int, high: int, meaning: str) -> Option:
+    """An option that is an integer of this range."""
+    return Option(lambda value: type(value) is int and low <= value <= high, f"{low} to {high}, {meaning}")
+
+
+def text(pattern: str, meaning: str) -> Option:
+    """An option whose whole text matches this pattern."""
+    return Option(lambda value: isinstance(value, str) and fullmatch(pattern, value) is not None, meaning)
+
+
 def _range(low: float, high: float, unit: str) -> str:
     return f"at least {low:.6g} {unit}" if high == inf else f"{low:.6g} to {high:.6g} {unit}"
 
@@ -67,10 +98,10 @@ def _common_bounds(motor: MotorSpec) -> list[Bound]:
         Bound("max_current", motor.max_current, 1e-3, 1e6, "A", "a motor that can push"),
         Bound("feedback_rate", motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ, "Hz", silence),
     ]
-    if motor.watchdog is not None:
+    if motor.watchdog_s is not None:
         why = f"{WATCHDOG_PERIODS:g} periods of loop.rate = {motor.command_rate:g} Hz, so that a lost frame is survived"
         shortest = WATCHDOG_PERIODS / motor.command_rate
-        bounds.append(Bound("watchdog.timeout", motor.watchdog.timeout_s, shortest, LONGEST_WATCHDOG_S, "s", why))
+        bounds.append(Bound("watchdog.timeout", motor.watchdog_s, shortest, LONGEST_WATCHDOG_S, "s", why))
     return bounds
 
 

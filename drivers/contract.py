@@ -10,8 +10,9 @@ Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mount
 driver's business: `gateway.control.transmission` applies them, once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 
@@ -100,16 +101,7 @@ class Capabilities(NamedTuple):
     device_watchdog: bool = False
 
 
-class Watchdog(NamedTuple):
-    """The controller's own command timeout: written, then read back before the motor may be armed.
-
-    The two endpoints are the controller's parameter numbers, valid for exactly the firmware version given.
-    """
-
-    timeout_s: float
-    firmware: str
-    enable_endpoint: int
-    timeout_endpoint: int
+OptionValue = bool | int | float | str  # what the robot file can say in `options`
 
 
 class MotorSpec(NamedTuple):
@@ -123,7 +115,8 @@ class MotorSpec(NamedTuple):
     max_current: float  # A
     feedback_rate: float  # Hz, as configured in the controller
     command_rate: float  # Hz, at which `command` is called
-    watchdog: Watchdog | None  # None: waived in the robot file, with the reason there
+    watchdog_s: float | None  # the controller's own command timeout; None: waived in the robot file, with the reason
+    options: Mapping[str, OptionValue] = MappingProxyType({})  # the driver's own, as typed: it checks them itself
 
 
 class Traffic(NamedTuple):

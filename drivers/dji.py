@@ -20,7 +20,7 @@ from math import ceil, isnan, pi, tau
 from struct import Struct
 from typing import ClassVar, NamedTuple
 
-from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_specs, feedback_timeout_ns
+from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_options, check_specs, feedback_timeout_ns
 from drivers.contract import (
     CanFrame,
     Capabilities,
@@ -198,8 +198,9 @@ class DjiDriver:
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="dji", variants=self.variants, ids=IDS)
         for motor in motors:
-            if motor.watchdog is not None:
+            if motor.watchdog_s is not None:
                 raise ValueError(f"motor {motor.name}: watchdog: a {motor.variant} has none; give watchdog_waiver")
+            check_options(motor, {}, of="driver dji")
             check_bounds(motor, _turn_bounds(motor))
         self._bus = bus
         self._motors = tuple(_Motor(motor) for motor in motors)

@@ -12,6 +12,7 @@ from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
 from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
 from drivers.odrive.tables import AxisState, Control
+from drivers.odrive.watchdog import watchdog_of
 from drivers.twins import CODE as ID_TWIN
 from drivers.twins import TwinWatch, twin_fault
 
@@ -90,12 +91,14 @@ class Axis:
         "version",
         "voltage",
         "wanted",
+        "watchdog",
         "zero_frame",
     )
 
     def __init__(self, bus: str, spec: MotorSpec) -> None:
         self.bus = bus
         self.spec = spec
+        self.watchdog = watchdog_of(spec)
         self.firmware = FIRMWARES[spec.variant]
         self.measured_timeout_ns = feedback_timeout_ns(spec.feedback_rate)
         self._velocity_id = self._id(tables.SET_INPUT_VEL)
@@ -319,7 +322,7 @@ class Axis:
         self.version = f"{major}.{minor}.{revision}" + ("-unreleased" if unreleased else "")
 
     def _take_parameter(self, items: tuple[Any, ...], _received_ns: int) -> None:
-        watchdog = self.spec.watchdog
+        watchdog = self.watchdog
         if watchdog is None:
             return
         _, endpoint, _, value = items

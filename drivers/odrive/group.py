@@ -52,8 +52,6 @@ class OdriveDriver:
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="odrive", variants=self.variants, ids=NODES)
-        for motor in motors:
-            _check_watchdog(motor)
         self._bus = bus
         self._axes = tuple(Axis(bus, motor) for motor in motors)
         self._by_node = {axis.spec.id: axis for axis in self._axes}
@@ -182,14 +180,6 @@ def _accept(axis: Axis, command: MotorCommand) -> None:
         raise ValueError(f"motor {axis.spec.name}: {command}: must be {allowed}")
     axis.kind = kind
     axis.wanted = CONTROLS[kind]
-
-
-def _check_watchdog(motor: MotorSpec) -> None:
-    if motor.watchdog is not None and not FIRMWARES[motor.variant].tells_version:
-        raise ValueError(
-            f"motor {motor.name}: watchdog: firmware {motor.variant} cannot be read back over CAN; "
-            "give watchdog_waiver with the reason instead, or use variant 0.6"
-        )
 
 
 def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:

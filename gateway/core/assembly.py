@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
-from drivers.contract import Capabilities, Driver, MotorSpec, Watchdog
-from gateway.config import ConfigError, Motor, RobotConfig, WatchdogConfig
+from drivers.contract import Capabilities, Driver, MotorSpec
+from gateway.config import ConfigError, Motor, RobotConfig
 from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
@@ -106,16 +106,8 @@ def _spec(motor: Motor, command_rate: float) -> MotorSpec:
         max_current=motor.max_current,
         feedback_rate=motor.feedback_rate,
         command_rate=command_rate,
-        watchdog=None if motor.watchdog is None else _watchdog(motor.watchdog),
-    )
-
-
-def _watchdog(config: WatchdogConfig) -> Watchdog:
-    return Watchdog(
-        timeout_s=config.timeout,
-        firmware=config.firmware,
-        enable_endpoint=config.enable_endpoint,
-        timeout_endpoint=config.timeout_endpoint,
+        watchdog_s=None if motor.watchdog is None else motor.watchdog.timeout,
+        options=motor.options,
     )
 
 

@@ -63,7 +63,7 @@ OWNERS: Mapping[str, frozenset[str]] = {
     "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
     "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_routes"}),
     "drivers.odrive.axis.Axis": frozenset(
-        {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "zero_frame"}
+        {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "watchdog"} | {"zero_frame"}
     ),
 }
 # The parts of a robot as they were put together: of these only what owns state is walked over.

@@ -1,9 +1,10 @@
 """What the driver tests share: motor specs, frames as text, and the smallest fake devices that answer by the book."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from struct import Struct, pack, unpack, unpack_from
+from types import MappingProxyType
 from typing import Protocol
 
 from drivers import DRIVERS
@@ -17,20 +18,37 @@ from drivers.contract import (
     MotorFeedback,
     MotorSpec,
     MotorState,
-    Watchdog,
+    OptionValue,
 )
 from drivers.odrive.firmware import FIRMWARES
 
 BUS = "can0"
 MS = 1_000_000
 CYCLE_NS = 4 * MS
-WATCHDOG = Watchdog(timeout_s=0.1, firmware="0.6.10", enable_endpoint=188, timeout_endpoint=189)
+WATCHDOG_S = 0.1
+ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
+    "firmware": "0.6.10",
+    "watchdog_enable_endpoint": 188,
+    "watchdog_timeout_endpoint": 189,
+}
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
 
 
-def spec(variant: str, *, id: int = 3, name: str = "", watchdog: Watchdog | None = None) -> MotorSpec:
+def spec(
+    variant: str,
+    *,
+    id: int = 3,
+    name: str = "",
+    watchdog_s: float | None = None,
+    options: Mapping[str, OptionValue] = MappingProxyType({}),
+) -> MotorSpec:
     """A motor of 100 rad/s, 2 N m and 20 A."""
-    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, 250.0, watchdog)
+    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, 250.0, watchdog_s, options)
+
+
+def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:
+    """An ODrive with its watchdog."""
+    return spec(variant, id=id, watchdog_s=WATCHDOG_S, options=ODRIVE_OPTIONS)
 
 
 def can_frame(text: str, *, received_ns: int | None = None) -> CanFrame:
@@ -220,7 +238,7 @@ class Rig:
     device: Callable[[int, str], Device]
     setpoints: Callable[[CanFrame], tuple[float, ...]]
     fault_frame: Callable[[int, str], CanFrame] | None
-    watchdogs: tuple[str, ...] = ()
+    watchdogs: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)  # by variant: options with it
     commands: frozenset[str] = frozenset()  # names of the messages that a host sends
 
     def from_host(self, decoded: DecodedFrame) -> bool:
@@ -229,8 +247,13 @@ class Rig:
 
     def specs(self, variant: str) -> list[MotorSpec]:
         """Two motors."""
-        watchdog = WATCHDOG if variant in self.watchdogs else None
-        return [spec(variant, id=at, watchdog=watchdog) for at in self.ids]
+        return [self.spec(variant, id=at) for at in self.ids]
+
+    def spec(self, variant: str, *, id: int) -> MotorSpec:
+        """One motor, with its watchdog if it can have one."""
+        if variant not in self.watchdogs:
+            return spec(variant, id=id)
+        return spec(variant, id=id, watchdog_s=WATCHDOG_S, options=self.watchdogs[variant])
 
     def asked(self, frames: Sequence[CanFrame]) -> list[float]:
         """Every setpoint in the frames, all finite."""
@@ -247,7 +270,7 @@ RIGS: dict[str, Rig] = {
         device=FakeOdrive,
         setpoints=odrive_setpoints,
         fault_frame=lambda node, _variant: CanFrame(BUS, node << 5 | 1, pack("<IBBBB", 0x4000, 1, 0, 0, 0)),
-        watchdogs=("0.6",),
+        watchdogs={"0.6": ODRIVE_OPTIONS},
         commands=frozenset(message.name for line in FIRMWARES.values() for message in line.to_device.values()),
     ),
     "dji": Rig(

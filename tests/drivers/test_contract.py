@@ -21,8 +21,24 @@ from drivers.contract import (
     MotorFeedback,
     MotorSpec,
     MotorState,
+    OptionValue,
 )
-from tests.drivers.rig import BUS, MS, PAIRS, RIGS, WATCHDOG, Bench, FakeDji, FakeOdrive, Rig, bench, claimed, spec
+from drivers.odrive.group import OdriveDriver
+from tests.drivers.rig import (
+    BUS,
+    MS,
+    PAIRS,
+    RIGS,
+    WATCHDOG_S,
+    Bench,
+    FakeDji,
+    FakeOdrive,
+    Rig,
+    bench,
+    claimed,
+    spec,
+    watched,
+)
 
 every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
 MOVING = (CommandKind.VELOCITY, CommandKind.TORQUE)
@@ -81,10 +97,44 @@ def test_unknown_variants_and_empty_groups_are_refused(driver: str, variant: str
 @every_variant
 def test_a_watchdog_that_cannot_be_verified_is_refused(driver: str, variant: str) -> None:
     if variant in RIGS[driver].watchdogs:
-        assert DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)]).capabilities[0].device_watchdog
+        assert DRIVERS[driver](BUS, [RIGS[driver].spec(variant, id=3)]).capabilities[0].device_watchdog
         return
     with pytest.raises(ValueError, match=r"motor_3: watchdog: .*watchdog_waiver"):
-        DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)])
+        DRIVERS[driver](BUS, [spec(variant, watchdog_s=WATCHDOG_S)])
+
+
+ODD_VALUES: tuple[OptionValue, ...] = ("", "x", -1, 0, 65536, 10**30, 1.5, math.nan, math.inf, True)
+
+
+@every_variant
+def test_options_are_checked_by_the_driver_and_named_with_what_is_allowed(driver: str, variant: str) -> None:
+    good = RIGS[driver].spec(variant, id=3)
+    DRIVERS[driver](BUS, [good])
+    known = ", ".join(good.options) or "none"
+    with pytest.raises(ValueError, match=rf"motor_3: options.poles = 7: no such option; .* has {known}$"):
+        DRIVERS[driver](BUS, [good._replace(options={**good.options, "poles": 7})])
+    for key in good.options:
+        without = {name: value for name, value in good.options.items() if name != key}
+        with pytest.raises(ValueError, match=rf"motor_3: options.{key} is missing: must be \S+"):
+            DRIVERS[driver](BUS, [good._replace(options=without)])
+        for value in ODD_VALUES:
+            with pytest.raises(ValueError, match=rf"motor_3: options.{key} = .*: must be \S+"):
+                DRIVERS[driver](BUS, [good._replace(options={**good.options, key: value})])
+
+
+def test_options_of_an_odrive() -> None:
+    def made(**options: OptionValue) -> OdriveDriver:
+        return OdriveDriver(BUS, [watched()._replace(options={**watched().options, **options})])
+
+    made(watchdog_enable_endpoint=1, watchdog_timeout_endpoint=65535, firmware="0.6.11")
+    with pytest.raises(ValueError, match=r"options.watchdog_enable_endpoint = 65536: must be 1 to 65535, a parameter"):
+        made(watchdog_enable_endpoint=65536)
+    with pytest.raises(ValueError, match=r'options.firmware = .0.6.: must be the exact version .* like "0.6.10"'):
+        made(firmware="0.6")
+    with pytest.raises(
+        ValueError, match=r"options.firmware = .*: no such option; an odrive without a watchdog has none"
+    ):
+        OdriveDriver(BUS, [watched()._replace(watchdog_s=None)])
 
 
 @every_variant
@@ -378,7 +428,7 @@ def test_silence_is_noticed_within_half_a_second_at_the_slowest_feedback_that_is
 @pytest.mark.parametrize("rate", [10.0, 50.0, 250.0, 1000.0])
 def test_a_watchdog_outlives_a_lost_frame_at_any_loop_rate(rate: float) -> None:
     def motor(timeout: float) -> MotorSpec:
-        return spec("0.6", watchdog=WATCHDOG._replace(timeout_s=timeout))._replace(command_rate=rate)
+        return watched()._replace(watchdog_s=timeout, command_rate=rate)
 
     DRIVERS["odrive"](BUS, [motor(3.0 / rate)])
     for wrong in (2.9 / rate, 1.1, 0.0, 1e-300, math.nan):

@@ -441,7 +441,7 @@ def test_each_half_of_a_message_counts_for_itself() -> None:
 
 
 def test_a_parameter_nobody_asked_for_is_taken_and_dropped() -> None:
-    stand, _ = stand_of(watched=False)
+    stand, _ = stand_of(watchdog=False)
     feed(stand, can_frame("065#00BC000001000000"))
 
 

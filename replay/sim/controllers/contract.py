@@ -1,10 +1,10 @@
 """What the simulated world and a simulated motor controller say to each other; everything at the motor shaft, SI."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
-from drivers.contract import CanFrame
-from gateway.config import WatchdogConfig
+from drivers.contract import CanFrame, OptionValue
 
 SECOND_NS = 1_000_000_000
 STEP_NS = 1_000_000  # fixed substep of the world and control period of every simulated controller
@@ -26,8 +26,9 @@ class MotorSetup(NamedTuple):
     max_current: float  # A, the current that gives max_torque
     inertia: float  # kg m^2 felt at the shaft while the other joints are free; the speed loop is tuned to it
     feedback_rate: float  # Hz
-    watchdog: WatchdogConfig | None
+    watchdog_s: float | None  # the command timeout that the robot file wants
     absolute: bool = False  # the encoder knows the shaft's angle (all turns) also after a power cut
+    options: Mapping[str, OptionValue] = MappingProxyType({})  # those of its driver
 
 
 class Shaft(NamedTuple):
