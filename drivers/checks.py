@@ -37,8 +37,13 @@ class Option(NamedTuple):
     allowed: str
 
 
-def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range) -> None:
-    """Raise ValueError for no motor, an unknown variant, an id out of range or given twice, a number out of range."""
+def check_specs(
+    motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range, cyclic: bool = True
+) -> None:
+    """Raise ValueError for no motor, an unknown variant, an id out of range or given twice, a number out of range.
+
+    `cyclic`: whether the controllers send their feedback on their own, or only in reply to commands.
+    """
     if not motors:
         raise ValueError(f"driver {driver}: needs at least one motor")
     owners: dict[int, str] = {}
@@ -52,6 +57,7 @@ def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[
             raise ValueError(f"motor {motor.name}: id = {motor.id}: already the id of motor {owners[motor.id]}")
         owners[motor.id] = motor.name
         check_bounds(motor, _common_bounds(motor))
+        _check_feedback_rate(motor, cyclic=cyclic)
 
 
 def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
@@ -89,14 +95,11 @@ def _range(low: float, high: float, unit: str) -> str:
 
 
 def _common_bounds(motor: MotorSpec) -> list[Bound]:
-    periods = FEEDBACK_TIMEOUT_PERIODS
-    silence = f"a motor counts as silent after {periods} periods, and must by {periods / SLOWEST_FEEDBACK_HZ:g} s"
     bounds = [
         # The least numbers only keep the arithmetic of the wire away from denormals.
         Bound("max_speed", motor.max_speed, 1e-6, 1e9, "rad/s at the motor shaft", "a motor that can turn"),
         Bound("max_torque", motor.max_torque, 1e-9, 1e9, "N m at the motor shaft", "a motor that can push"),
         Bound("max_current", motor.max_current, 1e-3, 1e6, "A", "a motor that can push"),
-        Bound("feedback_rate", motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ, "Hz", silence),
     ]
     if motor.watchdog_s is not None:
         why = f"{WATCHDOG_PERIODS:g} periods of loop.rate = {motor.command_rate:g} Hz, so that a lost frame is survived"
@@ -105,9 +108,28 @@ def _common_bounds(motor: MotorSpec) -> list[Bound]:
     return bounds
 
 
-def feedback_timeout_ns(rate_hz: float) -> int:
-    """Age at which a measurement that should come at this rate counts as missing."""
-    return max(MIN_FEEDBACK_TIMEOUT_NS, int(FEEDBACK_TIMEOUT_PERIODS * 1e9 / rate_hz))
+def _check_feedback_rate(motor: MotorSpec, *, cyclic: bool) -> None:
+    rate, low, high = motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ
+    periods = FEEDBACK_TIMEOUT_PERIODS
+    silence = f"a motor counts as silent after {periods} periods, and must by {periods / low:g} s"
+    if rate is not None and not cyclic:
+        why = f"a {motor.variant} only replies to commands"
+        raise ValueError(f"motor {motor.name}: feedback_rate = {rate:.6g}: must be left out: {why}")
+    if rate is None and cyclic:
+        allowed = f"must be {_range(low, high, 'Hz')}, as configured in the controller: {silence}"
+        raise ValueError(f"motor {motor.name}: feedback_rate is missing: {allowed}")
+    if rate is not None:
+        check_bounds(motor, [Bound("feedback_rate", rate, low, high, "Hz", silence)])
+
+
+def measuring_hz(motor: MotorSpec) -> float:
+    """How often the controller tells its measurements: on its own, or in reply to each command."""
+    return motor.command_rate if motor.feedback_rate is None else motor.feedback_rate
+
+
+def feedback_timeout_ns(motor: MotorSpec) -> int:
+    """How long its measurements may be missing before the motor counts as silent."""
+    return max(MIN_FEEDBACK_TIMEOUT_NS, int(FEEDBACK_TIMEOUT_PERIODS * 1e9 / measuring_hz(motor)))
 
 
 def id_conflicts(drivers: Sequence[Sequence[IdUse]]) -> list[str]:

@@ -113,7 +113,7 @@ class MotorSpec(NamedTuple):
     max_speed: float  # rad/s
     max_torque: float  # N m
     max_current: float  # A
-    feedback_rate: float  # Hz, as configured in the controller
+    feedback_rate: float | None  # Hz, as configured in the controller; None: it only replies to commands
     command_rate: float  # Hz, at which `command` is called
     watchdog_s: float | None  # the controller's own command timeout; None: waived in the robot file, with the reason
     options: Mapping[str, OptionValue] = MappingProxyType({})  # the driver's own, as typed: it checks them itself
@@ -173,13 +173,18 @@ class Driver(Protocol):
         """Advance every motor's state towards its command; the frames to send in this cycle.
 
         A motor commanded anything but COAST is brought up (armed) if it is not; one commanded COAST is released.
+        Controllers that only reply are all asked in every cycle, whatever their command.
         Values beyond a limit saturate. A NaN, or anything that the capabilities do not claim, raises ValueError
         naming the motor: that is our own bug.
         """
         ...
 
     def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
-        """The latest measurement and state of each motor."""
+        """The latest measurement and state of each motor.
+
+        One whose measurement is missing for `checks.feedback_timeout_ns` is SILENT. Cyclic ones are missing since the
+        last; replies since the first command that nobody answered: without a command nothing is missing.
+        """
         ...
 
     def clear_faults(self) -> None:
@@ -205,7 +210,7 @@ class Driver(Protocol):
         ...
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
-        """Every cyclic frame of this group, both directions."""
+        """Every cyclic frame of this group and every reply, both directions."""
         ...
 
     def receive_filters(self) -> tuple[ReceiveFilter, ...]:

@@ -20,7 +20,15 @@ from math import ceil, isnan, pi, tau
 from struct import Struct
 from typing import ClassVar, NamedTuple
 
-from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_options, check_specs, feedback_timeout_ns
+from drivers.checks import (
+    FASTEST_FEEDBACK_HZ,
+    Bound,
+    check_bounds,
+    check_options,
+    check_specs,
+    feedback_timeout_ns,
+    measuring_hz,
+)
 from drivers.contract import (
     CanFrame,
     Capabilities,
@@ -115,7 +123,7 @@ class _Motor:
         self.braking_raw_per_rpm = self.raw_limit / (FULL_BRAKING * max_rpm)
         self.command_period_ns = int(1e9 / spec.command_rate)
         self.rest_rpm = max(MIN_REST_RPM, REST * max_rpm)
-        self.timeout_ns = feedback_timeout_ns(spec.feedback_rate)
+        self.timeout_ns = feedback_timeout_ns(spec)
         self.commanded = False
         self.heard_ns: int | None = None
         self.heard_until_ns = 0
@@ -282,7 +290,7 @@ class DjiDriver:
         """Command frames and the feedback of each motor."""
         sent = [Traffic(f"command 0x{at:X}", False, 8, loop_rate_hz) for at, _ in self._command_frames]
         received = [
-            Traffic(f"{motor.spec.name} feedback", False, 8, motor.spec.feedback_rate) for motor in self._motors
+            Traffic(f"{motor.spec.name} feedback", False, 8, measuring_hz(motor.spec)) for motor in self._motors
         ]
         return (*sent, *received)
 
@@ -335,7 +343,7 @@ def _turn_bounds(motor: MotorSpec) -> list[Bound]:
     why = f"the rotor's turns are counted from its angle and speed, and {top}"
     return [
         Bound("max_speed", motor.max_speed, 0.0, FASTEST_FEEDBACK_HZ * pi / SPEED_DOUBT, "rad/s at the rotor", why),
-        Bound("feedback_rate", motor.feedback_rate, slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
+        Bound("feedback_rate", measuring_hz(motor), slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
     ]
 
 

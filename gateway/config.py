@@ -184,7 +184,8 @@ class Motor(_Section):
     max_current: Annotated[float, Field(ge=0.01, le=500.0, description="A")]
     max_torque: Annotated[float, Field(ge=1e-3, le=5000.0, description="N m at the output")]
     max_speed: Annotated[float, Field(ge=1e-3, le=5000.0, description="rad/s at the output; limit set in the device")]
-    feedback_rate: float  # Hz; what each controller needs is for its driver to say, with the reason
+    # Hz; what each controller needs is for its driver to say, with the reason. None: it only replies to commands.
+    feedback_rate: float | None = None
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
     # Only "absolute" (at the output, also after a power cut) lets a steered joint drive without being referenced first.
     encoder: Literal["absolute", "incremental"] = "incremental"

@@ -7,7 +7,7 @@ from math import isfinite, tau
 from struct import Struct
 from typing import Any
 
-from drivers.checks import feedback_timeout_ns
+from drivers.checks import feedback_timeout_ns, measuring_hz
 from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
 from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
@@ -100,7 +100,7 @@ class Axis:
         self.spec = spec
         self.watchdog = watchdog_of(spec)
         self.firmware = FIRMWARES[spec.variant]
-        self.measured_timeout_ns = feedback_timeout_ns(spec.feedback_rate)
+        self.measured_timeout_ns = feedback_timeout_ns(spec)
         self._velocity_id = self._id(tables.SET_INPUT_VEL)
         self._torque_id = self._id(tables.SET_INPUT_TORQUE)
         # Both inputs at once: this frame also sets the torque feed-forward, which is the input of torque mode.
@@ -275,7 +275,7 @@ class Axis:
             return None
         if heartbeat:
             name, setting, last_ns = "Get_Encoder_Estimates", self.firmware.estimates_setting, self.measured_ns
-            rate_ms = max(1, int(1e3 / self.spec.feedback_rate))
+            rate_ms = max(1, int(1e3 / measuring_hz(self.spec)))
         else:
             name, setting, last_ns = "Heartbeat", self.firmware.heartbeat_setting, self.heartbeat_ns
             rate_ms = 100

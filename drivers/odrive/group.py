@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from math import isnan
 from typing import Any, ClassVar
 
-from drivers.checks import check_specs
+from drivers.checks import check_specs, measuring_hz
 from drivers.contract import (
     CanFrame,
     Capabilities,
@@ -152,7 +152,7 @@ class OdriveDriver:
         """Setpoint, encoder estimates and heartbeat of each axis; what else is set to be cyclic is not known here."""
         traffic: list[Traffic] = []
         for axis in self._axes:
-            name, rate = axis.spec.name, axis.spec.feedback_rate
+            name, rate = axis.spec.name, measuring_hz(axis.spec)
             traffic += (
                 Traffic(f"{name} setpoint", extended=False, length=8, rate_hz=loop_rate_hz),
                 Traffic(f"{name} Get_Encoder_Estimates", extended=False, length=8, rate_hz=rate),

@@ -14,6 +14,7 @@ from drivers.contract import (
     CommandKind,
     DecodedFrame,
     Driver,
+    DriverType,
     MotorCommand,
     MotorFeedback,
     MotorSpec,
@@ -21,6 +22,7 @@ from drivers.contract import (
     OptionValue,
 )
 from drivers.odrive.firmware import FIRMWARES
+from tests.drivers.reply_only import REPLY, ReplyOnlyDriver, command_values, reply_data
 
 BUS = "can0"
 MS = 1_000_000
@@ -32,6 +34,8 @@ ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
     "watchdog_timeout_endpoint": 189,
 }
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
+DRIVER_TYPES: dict[str, DriverType] = DRIVERS | {"reply_only": ReplyOnlyDriver}
+UNDER_CONTRACT = [*PAIRS, ("reply_only", "replier")]
 
 
 def spec(
@@ -43,7 +47,8 @@ def spec(
     options: Mapping[str, OptionValue] = MappingProxyType({}),
 ) -> MotorSpec:
     """A motor of 100 rad/s, 2 N m and 20 A."""
-    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, 250.0, watchdog_s, options)
+    rate = None if variant in ReplyOnlyDriver.variants else 250.0
+    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, rate, 250.0, watchdog_s, options)
 
 
 def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:
@@ -182,6 +187,19 @@ def claimed(able: Capabilities) -> set[CommandKind]:
     return {kind for kind, given in declared.items() if given}
 
 
+@dataclass
+class FakeReplier:
+    """One motor at rest that speaks when spoken to."""
+
+    id: int
+    powered: bool = True
+
+    def answers(self, frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
+        """A reply to each command."""
+        commands = [frame for frame in frames if frame.id == 0x10 + self.id] if self.powered else []
+        return [CanFrame(BUS, REPLY + self.id, reply_data(0, 0.0, 0.0), received_ns=now_ns) for _ in commands]
+
+
 class Bench:
     """A driver with its fake devices, cycled every 4 ms."""
 
@@ -190,6 +208,7 @@ class Bench:
         self.devices = devices
         self.now_ns = 1_000 * MS
         self.sent: list[tuple[int, CanFrame]] = []  # with the time
+        self.last: list[CanFrame] = []  # sent in the last cycle
         self.states: list[MotorState] = []  # right after the command
 
     def cycle(self, commands: Sequence[MotorCommand]) -> list[CanFrame]:
@@ -197,6 +216,7 @@ class Bench:
         frames = self.driver.command(commands, now_ns=self.now_ns)
         self.states = [motor.state for motor in self.feedback()]
         self.sent += [(self.now_ns, frame) for frame in frames]
+        self.last = frames
         heard = [answer for device in self.devices for answer in device.answers(frames, self.now_ns + MS)]
         self.now_ns += CYCLE_NS
         for frame in heard:
@@ -209,6 +229,10 @@ class Bench:
         while self.now_ns < end and not until():
             frames += self.cycle([command] * len(self.devices))
         return frames
+
+    def said(self) -> list[CanFrame]:
+        """What is heard 200 ms later, if the last frames are sent again."""
+        return [frame for device in self.devices for frame in device.answers(self.last, self.now_ns + 200 * MS)]
 
     def feedback(self) -> list[MotorFeedback]:
         """Feedback as of the next cycle."""
@@ -282,6 +306,15 @@ RIGS: dict[str, Rig] = {
         fault_frame=None,  # the controllers report no faults
         commands=frozenset({"command"}),
     ),
+    "reply_only": Rig(
+        kinds=(CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.BRAKE, CommandKind.COAST),
+        ids=(3, 5),
+        bad_ids=(-1, 0, 16),
+        device=lambda id, _variant: FakeReplier(id),
+        setpoints=command_values,
+        fault_frame=lambda id, _variant: CanFrame(BUS, REPLY + id, reply_data(7, 0.0, 0.0)),
+        commands=frozenset({"command"}),
+    ),
 }
 
 
@@ -289,4 +322,4 @@ def bench(driver: str, variant: str) -> tuple[Bench, Rig]:
     """A driver of this variant on a bench of two motors."""
     rig = RIGS[driver]
     specs = rig.specs(variant)
-    return Bench(DRIVERS[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig
+    return Bench(DRIVER_TYPES[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig

@@ -1,10 +1,10 @@
 """One motor with a flywheel, its simulated controller and its driver, for what only the shaft can tell."""
 
-from drivers import DRIVERS
 from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.robot import CONTROLLERS
-from tests.drivers.rig import BUS, MS, spec
+from tests.drivers.reply_only import SimulatedReplier
+from tests.drivers.rig import BUS, DRIVER_TYPES, MS, spec
 
 ON_THE_GROUND, LIFTED = 1.1e-4, 1.1e-5  # kg m^2 at the rotor: a quarter of omni4, and its wheel alone
 FRICTION = 0.002  # N m at the rotor; omni4's joint drag behind its gear is 0.005
@@ -14,12 +14,14 @@ class Shop:
     """One motor with a flywheel, its simulated controller and its driver."""
 
     def __init__(self, driver: str, variant: str, *, inertia: float, speed: float, period_ms: int = 4) -> None:
-        motor: MotorSpec = spec(variant, id=1)._replace(
-            max_speed=900.0, max_torque=0.23, max_current=20.0, feedback_rate=500.0, command_rate=1e3 / period_ms
+        motor: MotorSpec = spec(variant, id=1)
+        rate = None if motor.feedback_rate is None else 500.0
+        motor = motor._replace(
+            max_speed=900.0, max_torque=0.23, max_current=20.0, feedback_rate=rate, command_rate=1e3 / period_ms
         )
-        setup = MotorSetup(motor.name, BUS, 1, variant, 900.0, 0.23, 20.0, inertia, 500.0, None)
-        self.device: SimulatedDevice = CONTROLLERS[driver](setup)
-        self.driver: Driver = DRIVERS[driver](BUS, [motor])
+        setup = MotorSetup(motor.name, BUS, 1, variant, 900.0, 0.23, 20.0, inertia, rate, None)
+        self.device: SimulatedDevice = (CONTROLLERS | {"reply_only": SimulatedReplier})[driver](setup)
+        self.driver: Driver = DRIVER_TYPES[driver](BUS, [motor])
         self.period_ms = period_ms
         self.inertia = inertia
         self.now_ns = 1_000 * MS

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import pytest
 
 from drivers.contract import BRAKE, COAST, CommandKind, MotorCommand
-from tests.drivers.rig import PAIRS, claimed
+from tests.drivers.rig import UNDER_CONTRACT, claimed
 from tests.drivers.shop import FRICTION, ON_THE_GROUND, Shop, kind_of
 
-every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
+every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 VELOCITY, TORQUE = CommandKind.VELOCITY, CommandKind.TORQUE
 
 
@@ -94,6 +94,6 @@ def test_a_limit_is_kept_in_every_step(driver: str, variant: str) -> None:
     shop.drive(MotorCommand(VELOCITY), ms=2_000)
     shop.most = 0.0
     shop.drive(MotorCommand(VELOCITY, 200.0, limit=0.03), ms=1_000)
-    assert shop.most == pytest.approx(0.03)
+    assert shop.most == pytest.approx(0.03, rel=1e-3)  # as on the wire
     shop.drive(MotorCommand(VELOCITY, 200.0), ms=2_000)
     assert shop.shaft.velocity == pytest.approx(200.0, rel=1e-3), "the limit ends with its command"

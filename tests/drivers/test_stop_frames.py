@@ -7,10 +7,10 @@ import pytest
 from drivers.contract import CanFrame, CommandKind, MotorCommand
 from drivers.dji import FULL_BRAKING_NS, DjiDriver
 from replay.sim.controllers.contract import Shaft
-from tests.drivers.rig import BUS, MS, PAIRS, spec
+from tests.drivers.rig import BUS, MS, UNDER_CONTRACT, spec
 from tests.drivers.shop import LIFTED, ON_THE_GROUND, Shop, kind_of
 
-every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
+every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 PERIODS = (2, 4, 10, 20, 100)  # ms; loops of 500 to 10 Hz
 
 

@@ -50,6 +50,7 @@ WRONG = [
         "feedback_rate = 1.0",
         ["motor left: feedback_rate = 1", "10 to 1000 Hz", "silent"],
     ),
+    ("moby", "feedback_rate = 250.0\n", "", ["motor left: feedback_rate is missing", "10 to 1000 Hz", "silent"]),
     ("moby", "feedback_rate = 250.0", "feedback_rate = 0.004", ["motor left: feedback_rate = 0.004", "10 to 1000 Hz"]),
     ("moby", "feedback_rate = 250.0", "feedback_rate = 1e-300", ["motor left: feedback_rate = 1e-300", "10 to 1000"]),
     (
