@@ -1,11 +1,12 @@
 """Checks that every driver makes of the motors it is given, and the one rule for when feedback is too old."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from math import inf
+from re import fullmatch
 from typing import Final, NamedTuple
 
-from drivers.contract import IdUse, MotorSpec
+from drivers.contract import IdUse, MotorSpec, OptionValue
 
 MIN_FEEDBACK_TIMEOUT_NS: Final = 50_000_000
 FEEDBACK_TIMEOUT_PERIODS: Final = 5
@@ -29,8 +30,20 @@ class Bound(NamedTuple):
     why: str
 
 
-def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range) -> None:
-    """Raise ValueError for no motor, an unknown variant, an id out of range or given twice, a number out of range."""
+class Option(NamedTuple):
+    """One key of a driver's own `options`: which values it takes, and the same in words."""
+
+    takes: Callable[[OptionValue], bool]
+    allowed: str
+
+
+def check_specs(
+    motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[str], ids: range, cyclic: bool = True
+) -> None:
+    """Raise ValueError for no motor, an unknown variant, an id out of range or given twice, a number out of range.
+
+    `cyclic`: whether the controllers send their feedback on their own, or only in reply to commands.
+    """
     if not motors:
         raise ValueError(f"driver {driver}: needs at least one motor")
     owners: dict[int, str] = {}
@@ -44,6 +57,7 @@ def check_specs(motors: Sequence[MotorSpec], *, driver: str, variants: Sequence[
             raise ValueError(f"motor {motor.name}: id = {motor.id}: already the id of motor {owners[motor.id]}")
         owners[motor.id] = motor.name
         check_bounds(motor, _common_bounds(motor))
+        _check_feedback_rate(motor, cyclic=cyclic)
 
 
 def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
@@ -53,30 +67,69 @@ def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
             raise ValueError(f"motor {motor.name}: {key} = {value:.6g}: must be {_range(low, high, unit)}: {why}")
 
 
+def check_options(motor: MotorSpec, known: Mapping[str, Option], *, of: str) -> None:
+    """Raise ValueError for an option that is unknown, missing or not allowed. `of`: whose options, in words."""
+    for key, value in motor.options.items():
+        where = f"motor {motor.name}: options.{key} = {value!r}"
+        if key not in known:
+            raise ValueError(f"{where}: no such option; {of} has {', '.join(known) or 'none'}")
+        if not known[key].takes(value):
+            raise ValueError(f"{where}: must be {known[key].allowed}")
+    for key, option in known.items():
+        if key not in motor.options:
+            raise ValueError(f"motor {motor.name}: options.{key} is missing: must be {option.allowed}")
+
+
+def whole_number(low: int, high: int, meaning: str) -> Option:
+    """An option that is an integer of this range."""
+    return Option(lambda value: type(value) is int and low <= value <= high, f"{low} to {high}, {meaning}")
+
+
+def text(pattern: str, meaning: str) -> Option:
+    """An option whose whole text matches this pattern."""
+    return Option(lambda value: isinstance(value, str) and fullmatch(pattern, value) is not None, meaning)
+
+
 def _range(low: float, high: float, unit: str) -> str:
     return f"at least {low:.6g} {unit}" if high == inf else f"{low:.6g} to {high:.6g} {unit}"
 
 
 def _common_bounds(motor: MotorSpec) -> list[Bound]:
-    periods = FEEDBACK_TIMEOUT_PERIODS
-    silence = f"a motor counts as silent after {periods} periods, and must by {periods / SLOWEST_FEEDBACK_HZ:g} s"
     bounds = [
         # The least numbers only keep the arithmetic of the wire away from denormals.
         Bound("max_speed", motor.max_speed, 1e-6, 1e9, "rad/s at the motor shaft", "a motor that can turn"),
         Bound("max_torque", motor.max_torque, 1e-9, 1e9, "N m at the motor shaft", "a motor that can push"),
         Bound("max_current", motor.max_current, 1e-3, 1e6, "A", "a motor that can push"),
-        Bound("feedback_rate", motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ, "Hz", silence),
     ]
-    if motor.watchdog is not None:
+    if motor.watchdog_s is not None:
         why = f"{WATCHDOG_PERIODS:g} periods of loop.rate = {motor.command_rate:g} Hz, so that a lost frame is survived"
         shortest = WATCHDOG_PERIODS / motor.command_rate
-        bounds.append(Bound("watchdog.timeout", motor.watchdog.timeout_s, shortest, LONGEST_WATCHDOG_S, "s", why))
+        bounds.append(Bound("watchdog.timeout", motor.watchdog_s, shortest, LONGEST_WATCHDOG_S, "s", why))
     return bounds
 
 
-def feedback_timeout_ns(rate_hz: float) -> int:
-    """Age at which a measurement that should come at this rate counts as missing."""
-    return max(MIN_FEEDBACK_TIMEOUT_NS, int(FEEDBACK_TIMEOUT_PERIODS * 1e9 / rate_hz))
+def _check_feedback_rate(motor: MotorSpec, *, cyclic: bool) -> None:
+    rate, low, high = motor.feedback_rate, SLOWEST_FEEDBACK_HZ, FASTEST_FEEDBACK_HZ
+    periods = FEEDBACK_TIMEOUT_PERIODS
+    silence = f"a motor counts as silent after {periods} periods, and must by {periods / low:g} s"
+    if rate is not None and not cyclic:
+        why = f"a {motor.variant} only replies to commands"
+        raise ValueError(f"motor {motor.name}: feedback_rate = {rate:.6g}: must be left out: {why}")
+    if rate is None and cyclic:
+        allowed = f"must be {_range(low, high, 'Hz')}, as configured in the controller: {silence}"
+        raise ValueError(f"motor {motor.name}: feedback_rate is missing: {allowed}")
+    if rate is not None:
+        check_bounds(motor, [Bound("feedback_rate", rate, low, high, "Hz", silence)])
+
+
+def measuring_hz(motor: MotorSpec) -> float:
+    """How often the controller tells its measurements: on its own, or in reply to each command."""
+    return motor.command_rate if motor.feedback_rate is None else motor.feedback_rate
+
+
+def feedback_timeout_ns(motor: MotorSpec) -> int:
+    """How long its measurements may be missing before the motor counts as silent."""
+    return max(MIN_FEEDBACK_TIMEOUT_NS, int(FEEDBACK_TIMEOUT_PERIODS * 1e9 / measuring_hz(motor)))
 
 
 def id_conflicts(drivers: Sequence[Sequence[IdUse]]) -> list[str]:

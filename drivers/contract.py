@@ -10,8 +10,9 @@ Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mount
 driver's business: `gateway.control.transmission` applies them, once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum
+from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
 
@@ -37,10 +38,16 @@ class CommandKind(Enum):
 
 
 class MotorCommand(NamedTuple):
-    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake."""
+    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake.
+
+    The other two are of a velocity only. `feed_forward`: N m at the shaft that the controller's speed loop adds;
+    `limit`: N m at the shaft that it may use at most, not negative (None: all that the motor has).
+    """
 
     kind: CommandKind
     value: float = 0.0
+    feed_forward: float = 0.0
+    limit: float | None = None
 
 
 COAST: Final = MotorCommand(CommandKind.COAST)
@@ -80,25 +87,21 @@ class MotorFeedback(NamedTuple):
 
 
 class Capabilities(NamedTuple):
-    """What a controller can do on its own; every controller can coast."""
+    """What a controller can do on its own; every controller can coast, and one that takes a velocity can brake.
 
-    velocity: bool
-    torque: bool
-    voltage: bool
-    brake: bool
-    device_watchdog: bool
-
-
-class Watchdog(NamedTuple):
-    """The controller's own command timeout: written, then read back before the motor may be armed.
-
-    The two endpoints are the controller's parameter numbers, valid for exactly the firmware version given.
+    `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
     """
 
-    timeout_s: float
-    firmware: str
-    enable_endpoint: int
-    timeout_endpoint: int
+    velocity: bool = False
+    torque: bool = False
+    voltage: bool = False
+    brake: bool = False
+    feed_forward: bool = False
+    limit: bool = False
+    device_watchdog: bool = False
+
+
+OptionValue = bool | int | float | str  # what the robot file can say in `options`
 
 
 class MotorSpec(NamedTuple):
@@ -110,9 +113,10 @@ class MotorSpec(NamedTuple):
     max_speed: float  # rad/s
     max_torque: float  # N m
     max_current: float  # A
-    feedback_rate: float  # Hz, as configured in the controller
+    feedback_rate: float | None  # Hz, as configured in the controller; None: it only replies to commands
     command_rate: float  # Hz, at which `command` is called
-    watchdog: Watchdog | None  # None: waived in the robot file, with the reason there
+    watchdog_s: float | None  # the controller's own command timeout; None: waived in the robot file, with the reason
+    options: Mapping[str, OptionValue] = MappingProxyType({})  # the driver's own, as typed: it checks them itself
 
 
 class Traffic(NamedTuple):
@@ -157,7 +161,9 @@ class Driver(Protocol):
     """Sans-IO state machine of one group of motors. Per-motor sequences are always in the order of the specs."""
 
     @property
-    def capabilities(self) -> Capabilities: ...
+    def capabilities(self) -> tuple[Capabilities, ...]:
+        """What the controller of each motor can do; it differs within a group where variants do."""
+        ...
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours. Foreign, short and wild frames never raise."""
@@ -167,12 +173,18 @@ class Driver(Protocol):
         """Advance every motor's state towards its command; the frames to send in this cycle.
 
         A motor commanded anything but COAST is brought up (armed) if it is not; one commanded COAST is released.
-        Values beyond a limit saturate. A NaN or an unsupported kind raises ValueError: that is our own bug.
+        Controllers that only reply are all asked in every cycle, whatever their command.
+        Values beyond a limit saturate. A NaN, or anything that the capabilities do not claim, raises ValueError
+        naming the motor: that is our own bug.
         """
         ...
 
     def feedback(self, *, now_ns: int) -> list[MotorFeedback]:
-        """The latest measurement and state of each motor."""
+        """The latest measurement and state of each motor.
+
+        One whose measurement is missing for `checks.feedback_timeout_ns` is SILENT. Cyclic ones are missing since the
+        last; replies since the first command that nobody answered: without a command nothing is missing.
+        """
         ...
 
     def clear_faults(self) -> None:
@@ -198,7 +210,7 @@ class Driver(Protocol):
         ...
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
-        """Every cyclic frame of this group, both directions."""
+        """Every cyclic frame of this group and every reply, both directions."""
         ...
 
     def receive_filters(self) -> tuple[ReceiveFilter, ...]:

@@ -20,7 +20,15 @@ from math import ceil, isnan, pi, tau
 from struct import Struct
 from typing import ClassVar, Final, NamedTuple
 
-from drivers.checks import FASTEST_FEEDBACK_HZ, Bound, check_bounds, check_specs, feedback_timeout_ns
+from drivers.checks import (
+    FASTEST_FEEDBACK_HZ,
+    Bound,
+    check_bounds,
+    check_options,
+    check_specs,
+    feedback_timeout_ns,
+    measuring_hz,
+)
 from drivers.contract import (
     CanFrame,
     Capabilities,
@@ -116,7 +124,7 @@ class _Motor:
         self.braking_raw_per_rpm = self.raw_limit / (FULL_BRAKING * max_rpm)
         self.command_period_ns = int(1e9 / spec.command_rate)
         self.rest_rpm = max(MIN_REST_RPM, REST * max_rpm)
-        self.timeout_ns = feedback_timeout_ns(spec.feedback_rate)
+        self.timeout_ns = feedback_timeout_ns(spec)
         self.commanded = False
         self.heard_ns: int | None = None
         self.heard_until_ns = 0
@@ -199,8 +207,9 @@ class DjiDriver:
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="dji", variants=self.variants, ids=IDS)
         for motor in motors:
-            if motor.watchdog is not None:
+            if motor.watchdog_s is not None:
                 raise ValueError(f"motor {motor.name}: watchdog: a {motor.variant} has none; give watchdog_waiver")
+            check_options(motor, {}, of="driver dji")
             check_bounds(motor, _turn_bounds(motor))
         self._bus = bus
         self._motors = tuple(_Motor(motor) for motor in motors)
@@ -213,9 +222,9 @@ class DjiDriver:
         self._zero_frames = [CanFrame(bus, identifier, bytes(8)) for identifier, _ in self._command_frames]
 
     @property
-    def capabilities(self) -> Capabilities:
+    def capabilities(self) -> tuple[Capabilities, ...]:
         """Torque only; braking is the host's speed loop."""
-        return Capabilities(velocity=False, torque=True, voltage=False, brake=False, device_watchdog=False)
+        return (Capabilities(torque=True),) * len(self._motors)
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -228,10 +237,11 @@ class DjiDriver:
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """The command frames; a motor that is not heard gets current 0."""
         raws = [0] * len(IDS)
-        for motor, (kind, value) in zip(self._motors, commands, strict=True):
+        for motor, command in zip(self._motors, commands, strict=True):
+            kind, value, feed_forward, limit = command
             torque = kind is _TORQUE
-            if isnan(value) or not (torque or kind is _COAST):
-                raise ValueError(f"motor {motor.spec.name}: {kind.value} {value}: must be torque in N m, or coast")
+            if isnan(value) or not (torque or kind is _COAST) or feed_forward != 0.0 or limit is not None:
+                raise ValueError(f"motor {motor.spec.name}: {command}: must be a torque in N m alone, or coast")
             motor.commanded = torque
             if torque and motor.trusted(now_ns):
                 raws[motor.slot] = motor.raw(value)
@@ -281,7 +291,7 @@ class DjiDriver:
         """Command frames and the feedback of each motor."""
         sent = [Traffic(f"command 0x{at:X}", False, 8, loop_rate_hz) for at, _ in self._command_frames]
         received = [
-            Traffic(f"{motor.spec.name} feedback", False, 8, motor.spec.feedback_rate) for motor in self._motors
+            Traffic(f"{motor.spec.name} feedback", False, 8, measuring_hz(motor.spec)) for motor in self._motors
         ]
         return (*sent, *received)
 
@@ -334,7 +344,7 @@ def _turn_bounds(motor: MotorSpec) -> list[Bound]:
     why = f"the rotor's turns are counted from its angle and speed, and {top}"
     return [
         Bound("max_speed", motor.max_speed, 0.0, FASTEST_FEEDBACK_HZ * pi / SPEED_DOUBT, "rad/s at the rotor", why),
-        Bound("feedback_rate", motor.feedback_rate, slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
+        Bound("feedback_rate", measuring_hz(motor), slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
     ]
 
 

@@ -14,6 +14,7 @@ Two rotors that stand within NEAR of each other look like one; they part as soon
 
 from typing import Final
 
+from drivers.checks import measuring_hz
 from drivers.contract import DriverFault, MotorSpec
 
 CODE: Final = "id_twin"
@@ -37,7 +38,7 @@ class TwinWatch:
     def __init__(self, spec: MotorSpec, *, turn: float | None = None) -> None:
         self._max_speed = spec.max_speed
         self._calm = SPEED_NOISE * spec.max_speed
-        self._slack = max(SLACK_PERIODS / spec.feedback_rate, 1.0 / spec.command_rate)
+        self._slack = max(SLACK_PERIODS / measuring_hz(spec), 1.0 / spec.command_rate)
         self._turn = turn
         self.forget()
 

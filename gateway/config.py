@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from gateway.types import Twist
 
@@ -21,6 +21,18 @@ Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
 _File = TypeVar("_File", bound=BaseModel)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, int | float) and -1e15 <= value <= 1e15:
+        return value
+    if isinstance(value, str) and len(value) <= 256:
+        return value
+    message = "must be a number from -1e15 to 1e15, a text of at most 256 characters, true or false"
+    raise ValueError(message)
+
+
+Option = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
 
 class ConfigError(ValueError):
@@ -152,13 +164,18 @@ class Degraded(_Section):
     speed: Annotated[float, Field(ge=0.01, le=1.0)] = 0.3
 
 
-class WatchdogConfig(_Section):
-    """The controller's own command timeout, with the parameter numbers of exactly this firmware version."""
+class Watchdog(_Section):
+    """The controller's own command timeout."""
 
     timeout: float  # s; what the controller and the loop need is for the driver to say, with the reason
-    firmware: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")]
-    enable_endpoint: Annotated[int, Field(ge=1, le=65535)]
-    timeout_endpoint: Annotated[int, Field(ge=1, le=65535)]
+
+
+# Options of an ODrive that were keys of `watchdog` in the robot files of recorded sessions: they are still read.
+_MOVED_FROM_WATCHDOG = {
+    "firmware": "firmware",
+    "enable_endpoint": "watchdog_enable_endpoint",
+    "timeout_endpoint": "watchdog_timeout_endpoint",
+}
 
 
 class SpeedLoop(_Section):
@@ -179,14 +196,32 @@ class Motor(_Section):
     max_current: Annotated[float, Field(ge=0.01, le=500.0, description="A")]
     max_torque: Annotated[float, Field(ge=1e-3, le=5000.0, description="N m at the output")]
     max_speed: Annotated[float, Field(ge=1e-3, le=5000.0, description="rad/s at the output; limit set in the device")]
-    feedback_rate: float  # Hz; what each controller needs is for its driver to say, with the reason
+    # Hz; what each controller needs is for its driver to say, with the reason. None: it only replies to commands.
+    feedback_rate: float | None = None
     zero: Annotated[float, Field(ge=-1e4, le=1e4, description="rad at the output where the joint is at zero")] = 0.0
     # Only "absolute" (at the output, also after a power cut) lets a steered joint drive without being referenced first.
     encoder: Literal["absolute", "incremental"] = "incremental"
     when_lost: Literal["free", "held"] = "free"  # its joint, without current: a brake or a worm gear holds it
-    watchdog: WatchdogConfig | None = None
+    watchdog: Watchdog | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
+    options: Annotated[
+        dict[Annotated[str, Field(max_length=64)], Option], Field(max_length=32)
+    ] = {}  # the driver's own
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_written_before(cls, given: object) -> object:
+        if not isinstance(given, dict):
+            return given
+        watchdog, options = given.get("watchdog"), given.get("options", {})
+        if not isinstance(watchdog, dict) or not isinstance(options, dict):
+            return given
+        moved = {new: watchdog[old] for old, new in _MOVED_FROM_WATCHDOG.items() if old in watchdog}
+        if not moved or moved.keys() & options.keys():
+            return given
+        kept = {key: value for key, value in watchdog.items() if key not in _MOVED_FROM_WATCHDOG}
+        return given | {"watchdog": kept, "options": options | moved}
 
     @model_validator(mode="after")
     def _watchdog_or_waiver(self) -> Self:

@@ -32,7 +32,7 @@ ROOMS: dict[str, set[str]] = {
     "gateway/recording": {"drivers", "ground", "gateway/core", "gateway/edges"},
     "entrance": {"drivers", "ground", "gateway/control", "gateway/core", "gateway/edges"},
     "replay": set(),
-    "replay/sim/controllers": {"drivers", "ground"},
+    "replay/sim/controllers": {"drivers"},
     "replay/sim/plants": {"ground", "replay/sim/controllers"},
     "replay/sim": {"drivers", "ground", "gateway/edges", "replay/sim/controllers", "replay/sim/plants"},
     "replay/sessions": {"drivers", "ground", "gateway/recording"},

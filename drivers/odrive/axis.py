@@ -7,11 +7,12 @@ from math import isfinite, tau
 from struct import Struct
 from typing import Any, Final
 
-from drivers.checks import feedback_timeout_ns
+from drivers.checks import feedback_timeout_ns, measuring_hz
 from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
 from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
 from drivers.odrive.tables import AxisState, Control
+from drivers.odrive.watchdog import watchdog_of
 from drivers.twins import CODE as ID_TWIN
 from drivers.twins import TwinWatch, twin_fault
 
@@ -91,14 +92,16 @@ class Axis:
         "version",
         "voltage",
         "wanted",
+        "watchdog",
         "zero_frame",
     )
 
     def __init__(self, bus: str, spec: MotorSpec) -> None:
         self.bus = bus
         self.spec = spec
+        self.watchdog = watchdog_of(spec)
         self.firmware = FIRMWARES[spec.variant]
-        self.measured_timeout_ns = feedback_timeout_ns(spec.feedback_rate)
+        self.measured_timeout_ns = feedback_timeout_ns(spec)
         self._velocity_id = self._id(tables.SET_INPUT_VEL)
         self._torque_id = self._id(tables.SET_INPUT_TORQUE)
         # Both inputs at once: this frame also sets the torque feed-forward, which is the input of torque mode.
@@ -143,15 +146,17 @@ class Axis:
         """Ask for a message of the controller."""
         return CanFrame(self.bus, self._id(command), b"", remote=True)
 
-    def setpoint(self, kind: CommandKind, value: float) -> CanFrame:
-        """The setpoint of an armed axis, within its limits."""
+    def setpoint(self, kind: CommandKind, value: float, feed_forward: float) -> CanFrame:
+        """The setpoint of an armed axis, within its limits; `feed_forward` (N m) goes with a velocity."""
+        torque = self.spec.max_torque
         if kind is _VELOCITY:
             limit = self.spec.max_speed
             value = limit if value > limit else -limit if value < -limit else value
-            return CanFrame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, 0.0))
+            if feed_forward != 0.0:
+                feed_forward = torque if feed_forward > torque else -torque if feed_forward < -torque else feed_forward
+            return CanFrame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, feed_forward))
         if kind is _TORQUE:
-            limit = self.spec.max_torque
-            value = limit if value > limit else -limit if value < -limit else value
+            value = torque if value > torque else -torque if value < -torque else value
             return CanFrame(self.bus, self._torque_id, _PACK_TORQUE(value))
         return self.zero_frame
 
@@ -271,7 +276,7 @@ class Axis:
             return None
         if heartbeat:
             name, setting, last_ns = "Get_Encoder_Estimates", self.firmware.estimates_setting, self.measured_ns
-            rate_ms = max(1, int(1e3 / self.spec.feedback_rate))
+            rate_ms = max(1, int(1e3 / measuring_hz(self.spec)))
         else:
             name, setting, last_ns = "Heartbeat", self.firmware.heartbeat_setting, self.heartbeat_ns
             rate_ms = 100
@@ -318,7 +323,7 @@ class Axis:
         self.version = f"{major}.{minor}.{revision}" + ("-unreleased" if unreleased else "")
 
     def _take_parameter(self, items: tuple[Any, ...], _received_ns: int) -> None:
-        watchdog = self.spec.watchdog
+        watchdog = self.watchdog
         if watchdog is None:
             return
         _, endpoint, _, value = items

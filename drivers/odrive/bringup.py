@@ -110,7 +110,7 @@ def _release(axis: Axis, now_ns: int) -> tuple[CanFrame, ...]:
 
 
 def _successors(axis: Axis) -> dict[Step, Step]:
-    return _SUCCESSORS[axis.firmware.tells_version, axis.spec.watchdog is not None]
+    return _SUCCESSORS[axis.firmware.tells_version, axis.watchdog is not None]
 
 
 _ARM_STEPS: Final = (Step.READY, Step.CLEAR, Step.MODE, Step.LIMITS, Step.ARM, Step.ACTIVE)
@@ -154,14 +154,14 @@ def _no_version(_axis: Axis) -> Failure:
 
 
 def _right_firmware(axis: Axis, _now_ns: int) -> bool:
-    watchdog = axis.spec.watchdog
+    watchdog = axis.watchdog
     if watchdog is not None:
         return axis.version == watchdog.firmware
     return axis.version is not None and axis.version.startswith("0.6.")
 
 
 def _wrong_firmware(axis: Axis) -> Failure:
-    watchdog = axis.spec.watchdog
+    watchdog = axis.watchdog
     if watchdog is None:
         text = f"firmware {axis.version}, but this driver's variant is 0.6"
         return Step.REFUSE, DriverFault("wrong_firmware", text, latched=True)
@@ -170,7 +170,7 @@ def _wrong_firmware(axis: Axis) -> Failure:
 
 
 def _write_watchdog(axis: Axis) -> tuple[CanFrame, ...]:
-    watchdog = axis.spec.watchdog
+    watchdog = axis.watchdog
     if watchdog is None:
         return ()
     axis.configured += 1
@@ -188,7 +188,7 @@ def _settled(axis: Axis, now_ns: int) -> bool:
 
 
 def _read_watchdog(axis: Axis) -> tuple[CanFrame, ...]:
-    watchdog = axis.spec.watchdog
+    watchdog = axis.watchdog
     if watchdog is None:
         return ()
     return (
@@ -198,22 +198,21 @@ def _read_watchdog(axis: Axis) -> tuple[CanFrame, ...]:
 
 
 def _watchdog_on(axis: Axis, _now_ns: int) -> bool:
-    watchdog = axis.spec.watchdog
+    watchdog = axis.watchdog
     if watchdog is None or axis.timeout_read is None or not axis.enable_read:
         return False
     return isclose(axis.timeout_read, watchdog.timeout_s, rel_tol=1e-6)  # f32 has 24 bits
 
 
 def _watchdog_off(axis: Axis) -> Failure:
-    if axis.configured < CONFIGURE_ATTEMPTS or axis.spec.watchdog is None:
+    if axis.configured < CONFIGURE_ATTEMPTS or axis.watchdog is None:
         return Step.CONFIGURE, None
     if axis.timeout_read is None or axis.enable_read is None:
         text = "does not answer the read-back of its watchdog"
         return Step.CONFIGURE, DriverFault("watchdog_unverified", text, latched=False)
     enabled = "on" if axis.enable_read else "off"
     text = (
-        f"watchdog reads back {enabled} with {axis.timeout_read:g} s "
-        f"instead of on with {axis.spec.watchdog.timeout_s:g} s"
+        f"watchdog reads back {enabled} with {axis.timeout_read:g} s instead of on with {axis.watchdog.timeout_s:g} s"
     )
     return Step.REFUSE, DriverFault("watchdog_unverified", text, latched=True)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from math import isnan
 from typing import Any, ClassVar, Final
 
-from drivers.checks import check_specs
+from drivers.checks import check_specs, measuring_hz
 from drivers.contract import (
     CanFrame,
     Capabilities,
@@ -46,14 +46,12 @@ _Route = tuple[Callable[[bytes], tuple[Any, ...]], int, int, Callable[[tuple[Any
 class OdriveDriver:
     """The ODrive axes of one bus."""
 
-    __slots__ = ("_axes", "_bus", "_by_node", "_capabilities", "_routes")
+    __slots__ = ("_axes", "_bus", "_by_node", "_routes")
 
     variants: ClassVar[tuple[str, ...]] = tuple(FIRMWARES)
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="odrive", variants=self.variants, ids=NODES)
-        for motor in motors:
-            _check_watchdog(motor)
         self._bus = bus
         self._axes = tuple(Axis(bus, motor) for motor in motors)
         self._by_node = {axis.spec.id: axis for axis in self._axes}
@@ -62,15 +60,24 @@ class OdriveDriver:
             for axis in self._axes
             for identifier, (message, take) in axis.receivers().items()
         }
-        verifiable = all(axis.firmware.tells_version for axis in self._axes)
-        self._capabilities = Capabilities(
-            velocity=True, torque=True, voltage=False, brake=True, device_watchdog=verifiable
-        )
 
     @property
-    def capabilities(self) -> Capabilities:
-        """Velocity, torque and brake; a watchdog only where it can be read back."""
-        return self._capabilities
+    def capabilities(self) -> tuple[Capabilities, ...]:
+        """Velocity with a torque added, torque and brake; a watchdog only where it can be read back.
+
+        No limit with a command: Set_Limits is a frame of its own that nobody confirms, so one that is lost would
+        leave too little torque to brake with; and a limit below the current that flows is a fault that disarms.
+        """
+        return tuple(
+            Capabilities(
+                velocity=True,
+                torque=True,
+                brake=True,
+                feed_forward=True,
+                device_watchdog=axis.firmware.tells_version,
+            )
+            for axis in self._axes
+        )
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -90,16 +97,17 @@ class OdriveDriver:
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """Advance every axis towards its command; one setpoint per axis, and what bring-up needs."""
         frames: list[CanFrame] = []
-        for axis, (kind, value) in zip(self._axes, commands, strict=True):
-            if kind is not axis.kind or isnan(value):
-                _accept(axis, kind, value)
+        for axis, command in zip(self._axes, commands, strict=True):
+            kind, value, feed_forward, limit = command
+            if kind is not axis.kind or isnan(value) or feed_forward != 0.0 or limit is not None:
+                _accept(axis, command)
             if (
                 axis.step is _ACTIVE
                 and axis.control is axis.wanted
                 and now_ns < axis.heartbeat_until_ns
                 and now_ns < axis.measured_until_ns
             ):
-                frames.append(axis.setpoint(kind, value))
+                frames.append(axis.setpoint(kind, value, feed_forward))
                 continue
             frames += advance(axis, now_ns)
             frames.append(axis.zero_frame)
@@ -144,7 +152,7 @@ class OdriveDriver:
         """Setpoint, encoder estimates and heartbeat of each axis; what else is set to be cyclic is not known here."""
         traffic: list[Traffic] = []
         for axis in self._axes:
-            name, rate = axis.spec.name, axis.spec.feedback_rate
+            name, rate = axis.spec.name, measuring_hz(axis.spec)
             traffic += (
                 Traffic(f"{name} setpoint", extended=False, length=8, rate_hz=loop_rate_hz),
                 Traffic(f"{name} Get_Encoder_Estimates", extended=False, length=8, rate_hz=rate),
@@ -164,19 +172,14 @@ class OdriveDriver:
         )
 
 
-def _accept(axis: Axis, kind: CommandKind, value: float) -> None:
-    if isnan(value) or kind not in CONTROLS:
-        raise ValueError(f"motor {axis.spec.name}: {kind.value} {value}: must be a number and one of ours")
+def _accept(axis: Axis, command: MotorCommand) -> None:
+    kind, value, feed_forward, limit = command
+    helped = feed_forward != 0.0 and kind is not CommandKind.VELOCITY
+    if isnan(value) or isnan(feed_forward) or helped or limit is not None or kind not in CONTROLS:
+        allowed = "a velocity, also with feed_forward, or a torque, brake or coast; no limit"
+        raise ValueError(f"motor {axis.spec.name}: {command}: must be {allowed}")
     axis.kind = kind
     axis.wanted = CONTROLS[kind]
-
-
-def _check_watchdog(motor: MotorSpec) -> None:
-    if motor.watchdog is not None and not FIRMWARES[motor.variant].tells_version:
-        raise ValueError(
-            f"motor {motor.name}: watchdog: firmware {motor.variant} cannot be read back over CAN; "
-            "give watchdog_waiver with the reason instead, or use variant 0.6"
-        )
 
 
 def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:

@@ -33,7 +33,8 @@ class Measured(NamedTuple):
 class JointCommand(NamedTuple):
     """Setpoint of one joint at its output: rad/s, N m or V by kind; 0.0 for coast and brake.
 
-    `feed_forward`: N m that a speed loop adds; `limit`: N m that it may use at most (None: what the joint can).
+    `feed_forward`: N m that a speed loop adds; `limit`: N m that it may use at most (None: what the joint can). Which
+    of these a joint obeys is in its capabilities (`gateway.core.assembly.Robot`); a limit bounds a torque anywhere.
     """
 
     kind: CommandKind

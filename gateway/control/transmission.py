@@ -21,12 +21,15 @@ class Transmission(NamedTuple):
         return output_torque / self.ratio
 
     def motor_command(self, command: JointCommand) -> MotorCommand:
-        """The same at the shaft; a voltage only has a sign there."""
-        kind, value = command.kind, command.value
+        """The same at the shaft, where a torque is within its limit; a voltage only has a sign there."""
+        kind, value, feed_forward, limit = command
         if kind is CommandKind.VELOCITY:
-            return MotorCommand(kind, self.motor_speed(value))
+            helping = (
+                self.motor_torque(feed_forward) if feed_forward != 0.0 else 0.0
+            )  # never -0.0, which is other bytes
+            bound = None if limit is None else abs(self.motor_torque(limit))
+            return MotorCommand(kind, self.motor_speed(value), helping, bound)
         if kind is CommandKind.TORQUE:
-            limit = command.limit
             bounded = value if limit is None else min(max(value, -limit), limit)
             return MotorCommand(kind, self.motor_torque(bounded))
         return MotorCommand(kind, value if self.ratio > 0.0 else -value)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
-from drivers.contract import Driver, MotorSpec, Watchdog
-from gateway.config import ConfigError, Motor, RobotConfig, WatchdogConfig
+from drivers.contract import Capabilities, Driver, MotorSpec
+from gateway.config import ConfigError, Motor, RobotConfig
 from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
@@ -31,6 +31,7 @@ class Robot(NamedTuple):
     groups: tuple[Group, ...]
     transmissions: tuple[Transmission, ...]
     speed_loops: tuple[SpeedLoop | None, ...]
+    capabilities: tuple[Capabilities, ...]  # what each joint may be told, with the help of its speed loop
     absolute: tuple[bool, ...]  # whether the encoder knows its angle after a power cut
     limits: tuple[Limits, ...]
     law: DriveLaw
@@ -44,13 +45,15 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     except GeometryError as error:
         raise ConfigError(origin, [f"robot: {error}"]) from None
     groups = _groups(config, motors, origin)
-    loops = _speed_loops(motors, groups, origin)
+    able = _capabilities(groups)
+    loops = _speed_loops(motors, able, origin)
     return Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
         groups=groups,
         transmissions=tuple(Transmission(motor.gear_ratio * motor.direction, motor.zero) for motor in motors),
         speed_loops=loops,
+        capabilities=tuple(map(_with_loop, able, loops)),
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
         law=SpeedLaw(
@@ -103,16 +106,8 @@ def _spec(motor: Motor, command_rate: float) -> MotorSpec:
         max_current=motor.max_current,
         feedback_rate=motor.feedback_rate,
         command_rate=command_rate,
-        watchdog=None if motor.watchdog is None else _watchdog(motor.watchdog),
-    )
-
-
-def _watchdog(config: WatchdogConfig) -> Watchdog:
-    return Watchdog(
-        timeout_s=config.timeout,
-        firmware=config.firmware,
-        enable_endpoint=config.enable_endpoint,
-        timeout_endpoint=config.timeout_endpoint,
+        watchdog_s=None if motor.watchdog is None else motor.watchdog.timeout,
+        options=motor.options,
     )
 
 
@@ -121,15 +116,34 @@ def _speed_loop(motor: Motor) -> SpeedLoop | None:
     return None if gains is None else SpeedLoop(kp=gains.kp, ki=gains.ki, max_torque=motor.max_torque)
 
 
-def _speed_loops(motors: Sequence[Motor], groups: Sequence[Group], origin: str) -> tuple[SpeedLoop | None, ...]:
+def _speed_loops(motors: Sequence[Motor], able: Sequence[Capabilities], origin: str) -> tuple[SpeedLoop | None, ...]:
     """A host-side speed loop exactly where the controller has none of its own."""
-    needed = {index: not group.driver.capabilities.velocity for group in groups for index in group.indices}
-    problems = []
-    for index, motor in enumerate(motors):
-        if needed[index] and motor.speed_loop is None:
-            problems.append(f"motor {motor.name}: speed_loop is missing: its controller takes only torque")
-        elif not needed[index] and motor.speed_loop is not None:
-            problems.append(f"motor {motor.name}: speed_loop has no use: its controller has one of its own")
+    found = [(motor.name, _loop_problem(controller, motor)) for motor, controller in zip(motors, able, strict=True)]
+    problems = [f"motor {name}: {problem}" for name, problem in found if problem is not None]
     if problems:
         raise ConfigError(origin, problems)
     return tuple(map(_speed_loop, motors))
+
+
+def _loop_problem(able: Capabilities, motor: Motor) -> str | None:
+    given = motor.speed_loop is not None
+    if able.velocity:
+        return "speed_loop has no use: its controller has one of its own" if given else None
+    if able.torque:
+        return None if given else "speed_loop is missing: its controller takes only torque"
+    return f"variant = {motor.variant!r}: its controller takes neither a speed nor a torque, so nothing here drives it"
+
+
+def _capabilities(groups: Sequence[Group]) -> tuple[Capabilities, ...]:
+    """Of the controllers, in chassis order."""
+    able = {
+        index: controller
+        for group in groups
+        for index, controller in zip(group.indices, group.driver.capabilities, strict=True)
+    }
+    return tuple(able[index] for index in sorted(able))
+
+
+def _with_loop(able: Capabilities, loop: SpeedLoop | None) -> Capabilities:
+    """What the joint can that has this controller and this speed loop on the host."""
+    return able if loop is None else able._replace(velocity=True, brake=True, feed_forward=True, limit=True)

@@ -64,13 +64,13 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         | {"timeout_ns", "variant"}
     ),
     "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
-    "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_capabilities", "_routes"}),
+    "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_routes"}),
     "drivers.odrive.axis.Axis": frozenset(
-        {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "zero_frame"}
+        {"_torque_id", "_velocity_id", "bus", "firmware", "measured_timeout_ns", "spec", "watchdog"} | {"zero_frame"}
     ),
 }
 # The parts of a robot as they were put together: of these only what owns state is walked over.
-AS_BUILT: Final = frozenset({"gateway.core.assembly.Robot.kinematics", "gateway.core.assembly.Robot.limits"})
+AS_BUILT: Final = frozenset(f"gateway.core.assembly.Robot.{part}" for part in ("capabilities", "kinematics", "limits"))
 _BUILT_TYPES: Final = (FunctionType, BuiltinFunctionType, MethodType, partial, Struct)
 _KINEMATICS: Final = "gateway.kinematics."
 _OURS: Final = ("gateway.", "drivers.")

@@ -198,7 +198,8 @@ def _device(motor: Motor, inertia: float) -> SimulatedDevice:
             max_current=motor.max_current,
             inertia=inertia / motor.gear_ratio**2,
             feedback_rate=motor.feedback_rate,
-            watchdog=motor.watchdog,
+            watchdog_s=None if motor.watchdog is None else motor.watchdog.timeout,
             absolute=motor.encoder == "absolute",
+            options=motor.options,
         )
     )

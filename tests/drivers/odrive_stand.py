@@ -2,7 +2,7 @@
 
 from drivers.contract import CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
 from drivers.odrive.group import OdriveDriver
-from tests.drivers.rig import BUS, WATCHDOG, Bench, FakeOdrive, can_text, odrive_setpoints, spec
+from tests.drivers.rig import BUS, Bench, FakeOdrive, can_text, odrive_setpoints, spec, watched
 
 VELOCITY = MotorCommand(CommandKind.VELOCITY, 10.0)
 TORQUE = MotorCommand(CommandKind.TORQUE, 0.5)
@@ -17,10 +17,10 @@ LIMITS = "06F#DDA57E410000A041"  # 100 rad/s = 15.915 rev/s, 20 A
 ARM, IDLE = "067#0800000000000000", "067#0100000000000000"
 
 
-def stand_of(variant: str = "0.6", *, watched: bool = True) -> tuple[Bench, FakeOdrive]:
-    watchdog = WATCHDOG if watched and variant == "0.6" else None
+def stand_of(variant: str = "0.6", *, watchdog: bool = True) -> tuple[Bench, FakeOdrive]:
+    motor = watched() if watchdog and variant == "0.6" else spec(variant)
     device = FakeOdrive(3, variant)
-    return Bench(OdriveDriver(BUS, [spec(variant, watchdog=watchdog)]), [device]), device
+    return Bench(OdriveDriver(BUS, [motor]), [device]), device
 
 
 def operational(variant: str = "0.6", *, command: MotorCommand = VELOCITY) -> tuple[Bench, FakeOdrive]:

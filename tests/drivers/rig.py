@@ -1,35 +1,59 @@
 """What the driver tests share: motor specs, frames as text, and the smallest fake devices that answer by the book."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from struct import Struct, pack, unpack, unpack_from
+from types import MappingProxyType
 from typing import Protocol
 
 from drivers import DRIVERS
 from drivers.contract import (
     CanFrame,
+    Capabilities,
     CommandKind,
     DecodedFrame,
     Driver,
+    DriverType,
     MotorCommand,
     MotorFeedback,
     MotorSpec,
     MotorState,
-    Watchdog,
+    OptionValue,
 )
 from drivers.odrive.firmware import FIRMWARES
+from tests.drivers.reply_only import REPLY, ReplyOnlyDriver, command_values, reply_data
 
 BUS = "can0"
 MS = 1_000_000
 CYCLE_NS = 4 * MS
-WATCHDOG = Watchdog(timeout_s=0.1, firmware="0.6.10", enable_endpoint=188, timeout_endpoint=189)
+WATCHDOG_S = 0.1
+ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
+    "firmware": "0.6.10",
+    "watchdog_enable_endpoint": 188,
+    "watchdog_timeout_endpoint": 189,
+}
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
+DRIVER_TYPES: dict[str, DriverType] = DRIVERS | {"reply_only": ReplyOnlyDriver}
+UNDER_CONTRACT = [*PAIRS, ("reply_only", "replier")]
 
 
-def spec(variant: str, *, id: int = 3, name: str = "", watchdog: Watchdog | None = None) -> MotorSpec:
+def spec(
+    variant: str,
+    *,
+    id: int = 3,
+    name: str = "",
+    watchdog_s: float | None = None,
+    options: Mapping[str, OptionValue] = MappingProxyType({}),
+) -> MotorSpec:
     """A motor of 100 rad/s, 2 N m and 20 A."""
-    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, 250.0, 250.0, watchdog)
+    rate = None if variant in ReplyOnlyDriver.variants else 250.0
+    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, rate, 250.0, watchdog_s, options)
+
+
+def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:
+    """An ODrive with its watchdog."""
+    return spec(variant, id=id, watchdog_s=WATCHDOG_S, options=ODRIVE_OPTIONS)
 
 
 def can_frame(text: str, *, received_ns: int | None = None) -> CanFrame:
@@ -151,6 +175,31 @@ class FakeDji:
         return [CanFrame(BUS, 0x200 + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
 
 
+def claimed(able: Capabilities) -> set[CommandKind]:
+    """The kinds of command that a controller of these capabilities takes."""
+    declared = {
+        CommandKind.VELOCITY: able.velocity,
+        CommandKind.TORQUE: able.torque,
+        CommandKind.VOLTAGE: able.voltage,
+        CommandKind.BRAKE: able.brake,
+        CommandKind.COAST: True,
+    }
+    return {kind for kind, given in declared.items() if given}
+
+
+@dataclass
+class FakeReplier:
+    """One motor at rest that speaks when spoken to."""
+
+    id: int
+    powered: bool = True
+
+    def answers(self, frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
+        """A reply to each command."""
+        commands = [frame for frame in frames if frame.id == 0x10 + self.id] if self.powered else []
+        return [CanFrame(BUS, REPLY + self.id, reply_data(0, 0.0, 0.0), received_ns=now_ns) for _ in commands]
+
+
 class Bench:
     """A driver with its fake devices, cycled every 4 ms."""
 
@@ -159,6 +208,7 @@ class Bench:
         self.devices = devices
         self.now_ns = 1_000 * MS
         self.sent: list[tuple[int, CanFrame]] = []  # with the time
+        self.last: list[CanFrame] = []  # sent in the last cycle
         self.states: list[MotorState] = []  # right after the command
 
     def cycle(self, commands: Sequence[MotorCommand]) -> list[CanFrame]:
@@ -166,6 +216,7 @@ class Bench:
         frames = self.driver.command(commands, now_ns=self.now_ns)
         self.states = [motor.state for motor in self.feedback()]
         self.sent += [(self.now_ns, frame) for frame in frames]
+        self.last = frames
         heard = [answer for device in self.devices for answer in device.answers(frames, self.now_ns + MS)]
         self.now_ns += CYCLE_NS
         for frame in heard:
@@ -178,6 +229,10 @@ class Bench:
         while self.now_ns < end and not until():
             frames += self.cycle([command] * len(self.devices))
         return frames
+
+    def said(self) -> list[CanFrame]:
+        """What is heard 200 ms later, if the last frames are sent again."""
+        return [frame for device in self.devices for frame in device.answers(self.last, self.now_ns + 200 * MS)]
 
     def feedback(self) -> list[MotorFeedback]:
         """Feedback as of the next cycle."""
@@ -207,7 +262,7 @@ class Rig:
     device: Callable[[int, str], Device]
     setpoints: Callable[[CanFrame], tuple[float, ...]]
     fault_frame: Callable[[int, str], CanFrame] | None
-    watchdogs: tuple[str, ...] = ()
+    watchdogs: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)  # by variant: options with it
     commands: frozenset[str] = frozenset()  # names of the messages that a host sends
 
     def from_host(self, decoded: DecodedFrame) -> bool:
@@ -216,8 +271,13 @@ class Rig:
 
     def specs(self, variant: str) -> list[MotorSpec]:
         """Two motors."""
-        watchdog = WATCHDOG if variant in self.watchdogs else None
-        return [spec(variant, id=at, watchdog=watchdog) for at in self.ids]
+        return [self.spec(variant, id=at) for at in self.ids]
+
+    def spec(self, variant: str, *, id: int) -> MotorSpec:
+        """One motor, with its watchdog if it can have one."""
+        if variant not in self.watchdogs:
+            return spec(variant, id=id)
+        return spec(variant, id=id, watchdog_s=WATCHDOG_S, options=self.watchdogs[variant])
 
     def asked(self, frames: Sequence[CanFrame]) -> list[float]:
         """Every setpoint in the frames, all finite."""
@@ -234,7 +294,7 @@ RIGS: dict[str, Rig] = {
         device=FakeOdrive,
         setpoints=odrive_setpoints,
         fault_frame=lambda node, _variant: CanFrame(BUS, node << 5 | 1, pack("<IBBBB", 0x4000, 1, 0, 0, 0)),
-        watchdogs=("0.6",),
+        watchdogs={"0.6": ODRIVE_OPTIONS},
         commands=frozenset(message.name for line in FIRMWARES.values() for message in line.to_device.values()),
     ),
     "dji": Rig(
@@ -246,6 +306,15 @@ RIGS: dict[str, Rig] = {
         fault_frame=None,  # the controllers report no faults
         commands=frozenset({"command"}),
     ),
+    "reply_only": Rig(
+        kinds=(CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.BRAKE, CommandKind.COAST),
+        ids=(3, 5),
+        bad_ids=(-1, 0, 16),
+        device=lambda id, _variant: FakeReplier(id),
+        setpoints=command_values,
+        fault_frame=lambda id, _variant: CanFrame(BUS, REPLY + id, reply_data(7, 0.0, 0.0)),
+        commands=frozenset({"command"}),
+    ),
 }
 
 
@@ -253,4 +322,4 @@ def bench(driver: str, variant: str) -> tuple[Bench, Rig]:
     """A driver of this variant on a bench of two motors."""
     rig = RIGS[driver]
     specs = rig.specs(variant)
-    return Bench(DRIVERS[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig
+    return Bench(DRIVER_TYPES[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig

@@ -21,10 +21,29 @@ from drivers.contract import (
     MotorFeedback,
     MotorSpec,
     MotorState,
+    OptionValue,
 )
-from tests.drivers.rig import BUS, MS, PAIRS, RIGS, WATCHDOG, Bench, FakeDji, FakeOdrive, Rig, bench, spec
+from drivers.odrive.group import OdriveDriver
+from tests.drivers.rig import (
+    BUS,
+    DRIVER_TYPES,
+    MS,
+    PAIRS,
+    RIGS,
+    UNDER_CONTRACT,
+    WATCHDOG_S,
+    Bench,
+    FakeDji,
+    FakeOdrive,
+    FakeReplier,
+    Rig,
+    bench,
+    claimed,
+    spec,
+    watched,
+)
 
-every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
+every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 MOVING = (CommandKind.VELOCITY, CommandKind.TORQUE)
 
 
@@ -42,15 +61,15 @@ def moving_kinds(rig: Rig) -> list[CommandKind]:
 
 def power(stand: Bench, *, on: bool) -> None:
     for device in stand.devices:
-        assert isinstance(device, FakeOdrive | FakeDji)
+        assert isinstance(device, FakeOdrive | FakeDji | FakeReplier)
         device.powered = on
 
 
 def test_every_driver_has_a_rig() -> None:
-    assert set(RIGS) == set(DRIVERS)
+    assert set(RIGS) == set(DRIVER_TYPES) > set(DRIVERS)
 
 
-@every_variant
+@pytest.mark.parametrize(("driver", "variant"), PAIRS)
 def test_names_are_explained(driver: str, variant: str) -> None:
     assert driver_problem(driver, variant) is None
     assert variant in (driver_problem(driver, "nonsense") or "")
@@ -61,30 +80,64 @@ def test_names_are_explained(driver: str, variant: str) -> None:
 def test_ids_out_of_range_are_refused_with_the_range(driver: str, variant: str) -> None:
     for bad in RIGS[driver].bad_ids:
         with pytest.raises(ValueError, match=rf"motor_{bad}: id = {bad}: must be \d+ to \d+"):
-            DRIVERS[driver](BUS, [spec(variant, id=bad)])
+            DRIVER_TYPES[driver](BUS, [spec(variant, id=bad)])
 
 
 @every_variant
 def test_one_id_twice_is_refused(driver: str, variant: str) -> None:
     with pytest.raises(ValueError, match="motor right: id = 4: already the id of motor left"):
-        DRIVERS[driver](BUS, [spec(variant, id=4, name="left"), spec(variant, id=4, name="right")])
+        DRIVER_TYPES[driver](BUS, [spec(variant, id=4, name="left"), spec(variant, id=4, name="right")])
 
 
 @every_variant
 def test_unknown_variants_and_empty_groups_are_refused(driver: str, variant: str) -> None:
     with pytest.raises(ValueError, match=f"motor_4: variant = 'x'.*{variant}"):
-        DRIVERS[driver](BUS, [spec("x", id=4)])
+        DRIVER_TYPES[driver](BUS, [spec("x", id=4)])
     with pytest.raises(ValueError, match="at least one motor"):
-        DRIVERS[driver](BUS, [])
+        DRIVER_TYPES[driver](BUS, [])
 
 
 @every_variant
 def test_a_watchdog_that_cannot_be_verified_is_refused(driver: str, variant: str) -> None:
     if variant in RIGS[driver].watchdogs:
-        assert DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)]).capabilities.device_watchdog
+        assert DRIVER_TYPES[driver](BUS, [RIGS[driver].spec(variant, id=3)]).capabilities[0].device_watchdog
         return
     with pytest.raises(ValueError, match=r"motor_3: watchdog: .*watchdog_waiver"):
-        DRIVERS[driver](BUS, [spec(variant, watchdog=WATCHDOG)])
+        DRIVER_TYPES[driver](BUS, [spec(variant, watchdog_s=WATCHDOG_S)])
+
+
+ODD_VALUES: tuple[OptionValue, ...] = ("", "x", -1, 0, 65536, 10**30, 1.5, math.nan, math.inf, True)
+
+
+@every_variant
+def test_options_are_checked_by_the_driver_and_named_with_what_is_allowed(driver: str, variant: str) -> None:
+    good = RIGS[driver].spec(variant, id=3)
+    DRIVER_TYPES[driver](BUS, [good])
+    known = ", ".join(good.options) or "none"
+    with pytest.raises(ValueError, match=rf"motor_3: options.poles = 7: no such option; .* has {known}$"):
+        DRIVER_TYPES[driver](BUS, [good._replace(options={**good.options, "poles": 7})])
+    for key in good.options:
+        without = {name: value for name, value in good.options.items() if name != key}
+        with pytest.raises(ValueError, match=rf"motor_3: options.{key} is missing: must be \S+"):
+            DRIVER_TYPES[driver](BUS, [good._replace(options=without)])
+        for value in ODD_VALUES:
+            with pytest.raises(ValueError, match=rf"motor_3: options.{key} = .*: must be \S+"):
+                DRIVER_TYPES[driver](BUS, [good._replace(options={**good.options, key: value})])
+
+
+def test_options_of_an_odrive() -> None:
+    def made(**options: OptionValue) -> OdriveDriver:
+        return OdriveDriver(BUS, [watched()._replace(options={**watched().options, **options})])
+
+    made(watchdog_enable_endpoint=1, watchdog_timeout_endpoint=65535, firmware="0.6.11")
+    with pytest.raises(ValueError, match=r"options.watchdog_enable_endpoint = 65536: must be 1 to 65535, a parameter"):
+        made(watchdog_enable_endpoint=65536)
+    with pytest.raises(ValueError, match=r'options.firmware = .0.6.: must be the exact version .* like "0.6.10"'):
+        made(firmware="0.6")
+    with pytest.raises(
+        ValueError, match=r"options.firmware = .*: no such option; an odrive without a watchdog has none"
+    ):
+        OdriveDriver(BUS, [watched()._replace(watchdog_s=None)])
 
 
 @every_variant
@@ -148,22 +201,58 @@ def test_nan_and_foreign_kinds_raise_in_any_state(driver: str, variant: str) -> 
 @every_variant
 def test_capabilities_are_the_kinds_it_takes(driver: str, variant: str) -> None:
     stand, rig = bench(driver, variant)
-    able = stand.driver.capabilities
-    declared = {
-        CommandKind.VELOCITY: able.velocity,
-        CommandKind.TORQUE: able.torque,
-        CommandKind.VOLTAGE: able.voltage,
-        CommandKind.BRAKE: able.brake,
-        CommandKind.COAST: True,
-    }
-    assert {kind for kind, given in declared.items() if given} == set(rig.kinds)
+    for able in stand.driver.capabilities:
+        assert claimed(able) == set(rig.kinds)
+        assert able.brake >= able.velocity, "the core brakes a motor that it gives velocities"
+    assert len(stand.driver.capabilities) == 2
+
+
+@every_variant
+def test_a_feed_forward_goes_with_a_velocity_within_the_torque_limit_and_leaves_nothing_behind(
+    driver: str, variant: str
+) -> None:
+    stand, rig = bench(driver, variant)
+    if not stand.driver.capabilities[0].feed_forward:
+        return
+    velocity = CommandKind.VELOCITY
+    for _ in range(250):
+        moving = sum(value != 0 for value in rig.asked(stand.cycle([MotorCommand(velocity, 0.0, 1.0)] * 2)))
+        assert moving <= stand.states.count(MotorState.OPERATIONAL)
+
+    def asked(feed_forward: float) -> list[float]:
+        return rig.asked(stand.cycle([MotorCommand(velocity, 3.0, feed_forward)] * 2))
+
+    plain = asked(0.0)
+    for value in (1e-3, 0.37, 1.9):
+        plus, minus = ([now - then for now, then in zip(asked(sign * value), plain, strict=True)] for sign in (1, -1))
+        assert plus == [-each for each in minus]
+        assert sum(plus) > 0.0
+    for value in (2.0 * 1.01, 1e300, math.inf):
+        assert asked(value) == asked(2.0)
+    for still in (BRAKE, COAST, MotorCommand(velocity)):
+        asked(1.0)
+        assert not any(rig.asked(stand.cycle([still] * 2)))
+    with pytest.raises(ValueError, match=f"motor_{rig.ids[1]}"):
+        stand.driver.command([COAST, MotorCommand(velocity, 1.0, math.nan)], now_ns=stand.now_ns)
+
+
+@every_variant
+def test_a_feed_forward_or_a_limit_where_none_is_claimed_is_refused(driver: str, variant: str) -> None:
+    stand, rig = bench(driver, variant)
+    able = stand.driver.capabilities[0]
+    extras = {(1.0, None): able.feed_forward, (0.0, 1.0): able.limit, (0.0, math.inf): able.limit}
+    for kind in rig.kinds:
+        for (feed_forward, limit), claims in extras.items():
+            if kind is not CommandKind.VELOCITY or not claims:
+                with pytest.raises(ValueError, match=f"motor_{rig.ids[0]}"):
+                    stand.driver.command([MotorCommand(kind, 0.0, feed_forward, limit), COAST], now_ns=stand.now_ns)
 
 
 @every_variant
 def test_foreign_short_remote_extended_and_sent_frames_are_ignored(driver: str, variant: str) -> None:
     stand, _ = bench(driver, variant)
     stand.run(COAST, ms=500)
-    known = [answer for device in stand.devices for answer in device.answers([], stand.now_ns + 200 * MS)]
+    known = stand.said()
     assert known
     before = stand.feedback()
     for frame in known:
@@ -259,9 +348,8 @@ def test_every_frame_sent_and_heard_can_be_put_in_words(driver: str, variant: st
     stand, _ = operational(driver, variant, moving_kinds(RIGS[driver])[0])
     for _, frame in stand.sent:
         assert stand.driver.decode(frame) is not None
-    for device in stand.devices:
-        for frame in device.answers([], stand.now_ns + 200 * MS):
-            assert stand.driver.decode(frame) is not None
+    for frame in stand.said():
+        assert stand.driver.decode(frame) is not None
 
 
 @every_variant
@@ -270,8 +358,9 @@ def test_traffic_counts_both_directions(driver: str, variant: str) -> None:
     traffic = stand.driver.traffic(loop_rate_hz=200.0)
     assert len({item.name for item in traffic}) == len(traffic)
     assert all(item.length == 8 and not item.extended and item.rate_hz > 0 for item in traffic)
-    assert sum(item.rate_hz == 200.0 for item in traffic) == 2  # two ODrive axes; two DJI command frames
-    assert sum(item.rate_hz == 250.0 for item in traffic) == 2
+    cyclic = spec(variant).feedback_rate is not None
+    assert sum(item.rate_hz == 200.0 for item in traffic) == (2 if cyclic else 4)  # commands, and their replies
+    assert sum(item.rate_hz == 250.0 for item in traffic) == (2 if cyclic else 0)
 
 
 def uses(use: IdUse, frame: CanFrame) -> bool:
@@ -284,8 +373,7 @@ def test_every_id_sent_or_taken_is_declared_and_the_filters_ask_for_no_other(dri
     declared = stand.driver.ids()
     sent = [frame for _, frame in stand.sent]
     emergency = [*stand.driver.coast_frames(), *stand.driver.stop_frames(now_ns=stand.now_ns)]
-    heard = [frame for device in stand.devices for frame in device.answers([], stand.now_ns + 200 * MS)]
-    for frame in (*sent, *emergency, *heard):
+    for frame in (*sent, *emergency, *stand.said()):
         assert any(uses(use, frame) for use in declared), frame
     for wanted in stand.driver.receive_filters():
         assert any(use.mask & wanted.mask == use.mask and not (use.id ^ wanted.id) & use.mask for use in declared)
@@ -322,27 +410,61 @@ WILD = (math.nan, math.inf, -math.inf, 0.0, -1.0, 5e-324, 1e-300, 1e300)
 def test_wild_numbers_are_refused_by_motor_key_value_and_range(driver: str, variant: str, key: str) -> None:
     for value in WILD:
         with pytest.raises(ValueError, match=rf"motor_3: {key} = .*: must be "):
-            DRIVERS[driver](BUS, [MotorSpec(**spec(variant)._asdict() | {key: value})])
+            DRIVER_TYPES[driver](BUS, [MotorSpec(**spec(variant)._asdict() | {key: value})])
 
 
 @every_variant
 def test_silence_is_noticed_within_half_a_second_at_the_slowest_feedback_that_is_taken(
     driver: str, variant: str
 ) -> None:
+    if spec(variant).feedback_rate is None:
+        return
     slow = spec(variant, id=3)._replace(feedback_rate=10.0)
-    stand = Bench(DRIVERS[driver](BUS, [slow]), [RIGS[driver].device(3, variant)])
+    stand = Bench(DRIVER_TYPES[driver](BUS, [slow]), [RIGS[driver].device(3, variant)])
     stand.run(COAST, ms=200)
     assert stand.feedback()[0].state is not MotorState.SILENT
     stand.now_ns += 500 * MS
     assert stand.feedback()[0].state is MotorState.SILENT
     with pytest.raises(ValueError, match=r"feedback_rate = 9.9: must be 10 to 1000 Hz: .*silent after 5 periods"):
-        DRIVERS[driver](BUS, [slow._replace(feedback_rate=9.9)])
+        DRIVER_TYPES[driver](BUS, [slow._replace(feedback_rate=9.9)])
+
+
+@every_variant
+def test_feedback_is_cyclic_or_by_reply_and_a_rate_for_the_other_is_refused(driver: str, variant: str) -> None:
+    if spec(variant).feedback_rate is None:
+        with pytest.raises(ValueError, match=r"motor_3: feedback_rate = 250: must be left out: .* only replies"):
+            DRIVER_TYPES[driver](BUS, [spec(variant)._replace(feedback_rate=250.0)])
+    else:
+        with pytest.raises(
+            ValueError, match=r"motor_3: feedback_rate is missing: must be .* to 1000 Hz, as configured"
+        ):
+            DRIVER_TYPES[driver](BUS, [spec(variant)._replace(feedback_rate=None)])
+
+
+@every_variant
+def test_replies_are_missing_from_the_first_command_that_nobody_answered(driver: str, variant: str) -> None:
+    """The loop stands still for ten seconds: who is asked nothing owes nothing. Then one reply is lost, then all."""
+    if spec(variant).feedback_rate is not None:
+        return
+    kind = moving_kinds(RIGS[driver])[0]
+    stand, rig = operational(driver, variant, kind)
+    stand.now_ns += 10_000 * MS
+    assert [motor.state for motor in stand.feedback()] == [MotorState.OPERATIONAL] * 2
+    assert all(motor.age_ns is not None and motor.age_ns >= 10_000 * MS for motor in stand.feedback())
+    for lost in (True, False, True, False):
+        power(stand, on=not lost)
+        assert any(rig.asked(stand.cycle([MotorCommand(kind, 1.0)] * 2)))
+    power(stand, on=False)
+    states = [stand.cycle([MotorCommand(kind, 1.0)] * 2) and stand.feedback()[0].state for _ in range(20)]
+    at_ms = (states.index(MotorState.SILENT) + 1) * 4
+    assert 50 <= at_ms < 54
+    assert stand.driver.command([COAST] * 2, now_ns=stand.now_ns), "a silent motor is asked on"
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 250.0, 1000.0])
 def test_a_watchdog_outlives_a_lost_frame_at_any_loop_rate(rate: float) -> None:
     def motor(timeout: float) -> MotorSpec:
-        return spec("0.6", watchdog=WATCHDOG._replace(timeout_s=timeout))._replace(command_rate=rate)
+        return watched()._replace(watchdog_s=timeout, command_rate=rate)
 
     DRIVERS["odrive"](BUS, [motor(3.0 / rate)])
     for wrong in (2.9 / rate, 1.1, 0.0, 1e-300, math.nan):
@@ -367,7 +489,7 @@ NUMBERS = st.floats(allow_nan=False)
 @st.composite
 def stories(draw: st.DrawFn) -> tuple[str, str, list[Any]]:
     """A driver, and a list of frames, commands and resets to throw at it."""
-    driver, variant = draw(st.sampled_from(PAIRS))
+    driver, variant = draw(st.sampled_from(UNDER_CONTRACT))
     commands = st.tuples(st.sampled_from(RIGS[driver].kinds), NUMBERS)
     return driver, variant, draw(st.lists(st.one_of(FRAMES, FRAMES, commands, st.none()), max_size=40))
 
@@ -398,7 +520,7 @@ def test_any_bytes_at_any_time_never_raise_and_never_move_a_motor_that_is_not_op
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.sampled_from(PAIRS), FRAMES)
+@given(st.sampled_from(UNDER_CONTRACT), FRAMES)
 def test_what_receive_refuses_is_shown_as_no_measurement(pair: tuple[str, str], frame: CanFrame) -> None:
     agree(*bench(*pair), frame)
 

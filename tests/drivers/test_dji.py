@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import COAST, CanFrame, CommandKind, MotorCommand, MotorState
+from drivers.contract import COAST, CanFrame, Capabilities, CommandKind, MotorCommand, MotorState
 from drivers.dji import DjiDriver
 from tests.drivers.rig import BUS, MS, can_text, spec
 
@@ -239,7 +239,7 @@ def test_limits_of_one_step_of_current_are_enough() -> None:
 
 def test_what_it_can_what_it_hears_and_which_ids_it_takes() -> None:
     driver = DjiDriver(BUS, [spec("c620", id=4, name="d"), spec("c610", id=5, name="e")])
-    assert driver.capabilities == (False, True, False, False, False)
+    assert driver.capabilities == (Capabilities(torque=True),) * 2
     assert driver.receive_filters() == ((0x204, 0x7FF, False), (0x205, 0x7FF, False))
     assert driver.ids() == (
         ("dji command of motor d", 0x200, 0x7FF, False),

@@ -5,7 +5,7 @@ from struct import unpack
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, MotorState
+from drivers.contract import BRAKE, COAST, Capabilities, CommandKind, MotorCommand, MotorState
 from drivers.odrive.group import OdriveDriver
 from tests.drivers.odrive_stand import (
     ARM,
@@ -441,13 +441,15 @@ def test_each_half_of_a_message_counts_for_itself() -> None:
 
 
 def test_a_parameter_nobody_asked_for_is_taken_and_dropped() -> None:
-    stand, _ = stand_of(watched=False)
+    stand, _ = stand_of(watchdog=False)
     feed(stand, can_frame("065#00BC000001000000"))
 
 
 def test_what_it_sends_and_hears() -> None:
     driver = OdriveDriver(BUS, [spec("0.6", name="m")])
-    assert driver.capabilities == (True, True, False, True, True)
+    assert driver.capabilities == (
+        Capabilities(velocity=True, torque=True, brake=True, feed_forward=True, device_watchdog=True),
+    )
     assert driver.receive_filters() == ((0x060, 0x7E0, False),)
     assert driver.ids() == (("odrive node 3 of motor m", 0x060, 0x7E0, False),)
     assert driver.traffic(loop_rate_hz=200.0) == (
@@ -457,6 +459,14 @@ def test_what_it_sends_and_hears() -> None:
     )
     assert [can_text(frame) for frame in driver.coast_frames()] == [IDLE, ZERO]
     assert [can_text(frame) for frame in driver.stop_frames(now_ns=0)] == [ZERO]
+
+
+def test_a_feed_forward_is_in_the_frame_of_the_velocity() -> None:
+    """Bytes of a worked example: 2.5 rev/s and 0.1 N m."""
+    for variant in ("0.5", "0.6"):
+        stand, _ = operational(variant)
+        command = MotorCommand(CommandKind.VELOCITY, 5.0 * pi, 0.1)
+        assert [can_text(frame) for frame in stand.cycle([command])] == ["06D#00002040CDCCCC3D"]
 
 
 def test_numbers_that_are_none_are_dropped() -> None:
@@ -477,7 +487,7 @@ def test_numbers_that_are_none_are_dropped() -> None:
 
 def test_two_axes_are_independent() -> None:
     driver = OdriveDriver(BUS, [spec("0.5", id=0), spec("0.6", id=62)])
-    assert not driver.capabilities.device_watchdog
+    assert [able.device_watchdog for able in driver.capabilities] == [False, True]
     stand = Bench(driver, [FakeOdrive(0, "0.5"), FakeOdrive(62, "0.6", powered=False)])
     for _ in range(200):
         stand.cycle([VELOCITY, BRAKE])

@@ -39,7 +39,7 @@ def test_bringup_of_06_with_watchdog() -> None:
 
 
 def test_bringup_of_06_without_watchdog() -> None:
-    stand, _ = stand_of(watched=False)
+    stand, _ = stand_of(watchdog=False)
     stand.run(TORQUE, ms=500)
     assert story(stand) == [VERSION, CLEAR_06, TORQUE_MODE, LIMITS, ARM]
     assert only(stand).state is MotorState.OPERATIONAL
@@ -161,11 +161,11 @@ def test_endpoints_of_another_firmware_are_never_written(firmware: tuple[int, in
 
 
 def test_without_watchdog_any_06_will_do_but_no_other() -> None:
-    stand, device = stand_of(watched=False)
+    stand, device = stand_of(watchdog=False)
     device.firmware = (0, 6, 3)
     stand.run(VELOCITY, ms=500)
     assert only(stand).state is MotorState.OPERATIONAL
-    stand, device = stand_of(watched=False)
+    stand, device = stand_of(watchdog=False)
     device.firmware = (0, 7, 0)
     stand.run(VELOCITY, ms=500)
     assert fault(stand)[0] == "wrong_firmware"

@@ -4,71 +4,14 @@ from struct import pack, unpack
 
 import pytest
 
-from drivers import DRIVERS
-from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
+from drivers.contract import CanFrame, CommandKind, MotorCommand
 from drivers.dji import FULL_BRAKING_NS, DjiDriver
-from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
-from replay.sim.robot import CONTROLLERS
-from tests.drivers.rig import BUS, MS, PAIRS, spec
+from replay.sim.controllers.contract import Shaft
+from tests.drivers.rig import BUS, MS, UNDER_CONTRACT, spec
+from tests.drivers.shop import LIFTED, ON_THE_GROUND, Shop, kind_of
 
-every_variant = pytest.mark.parametrize(("driver", "variant"), PAIRS)
+every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 PERIODS = (2, 4, 10, 20, 100)  # ms; loops of 500 to 10 Hz
-ON_THE_GROUND, LIFTED = 1.1e-4, 1.1e-5  # kg m^2 at the rotor: a quarter of omni4, and its wheel alone
-FRICTION = 0.002  # N m at the rotor; omni4's joint drag behind its gear is 0.005
-
-
-class Shop:
-    """One motor with a flywheel, its simulated controller and its driver."""
-
-    def __init__(self, driver: str, variant: str, *, inertia: float, speed: float, period_ms: int = 4) -> None:
-        motor: MotorSpec = spec(variant, id=1)._replace(
-            max_speed=900.0, max_torque=0.23, max_current=20.0, feedback_rate=500.0, command_rate=1e3 / period_ms
-        )
-        setup = MotorSetup(motor.name, BUS, 1, variant, 900.0, 0.23, 20.0, inertia, 500.0, None)
-        self.device: SimulatedDevice = CONTROLLERS[driver](setup)
-        self.driver: Driver = DRIVERS[driver](BUS, [motor])
-        self.period_ms = period_ms
-        self.inertia = inertia
-        self.now_ns = 1_000 * MS
-        self.shaft = Shaft(0.0, speed)
-        self.torque = 0.0
-        self.work = 0.0  # J that the motor gave to the shaft, braking not subtracted
-        self.device.start(self.shaft, self.now_ns)
-
-    def run(self, ms: int) -> None:
-        """Let the world go on and the driver hear."""
-        for _ in range(ms):
-            position, speed = self.shaft
-            speed += self.torque / self.inertia * 1e-3
-            drag = FRICTION / self.inertia * 1e-3
-            speed = 0.0 if abs(speed) <= drag else speed - drag if speed > 0.0 else speed + drag
-            self.shaft = Shaft(position + speed * 1e-3, speed)
-            self.work += max(0.0, self.torque * speed) * 1e-3
-            self.now_ns += STEP_NS
-            self.torque = self.device.step(self.shaft, self.now_ns)
-            for emission in self.device.poll(self.now_ns):
-                self.driver.receive(emission.frame._replace(received_ns=emission.ready_ns))
-
-    def say(self, frames: list[CanFrame]) -> None:
-        for frame in frames:
-            for emission in self.device.receive(frame, self.now_ns):
-                self.driver.receive(emission.frame._replace(received_ns=emission.ready_ns))
-
-    def stop(self, *, ms: int) -> None:
-        for _ in range(0, ms, self.period_ms):
-            self.say(self.driver.stop_frames(now_ns=self.now_ns))
-            self.run(self.period_ms)
-
-    def arm(self, kind: CommandKind, value: float) -> None:
-        """Brought up and driven as by the core, for two seconds."""
-        for _ in range(0, 2_000, self.period_ms):
-            self.say(self.driver.command([MotorCommand(kind, value)], now_ns=self.now_ns))
-            self.run(self.period_ms)
-        assert self.driver.feedback(now_ns=self.now_ns)[0].state is MotorState.OPERATIONAL
-
-
-def kind_of(driver: Driver) -> CommandKind:
-    return CommandKind.VELOCITY if driver.capabilities.velocity else CommandKind.TORQUE
 
 
 @every_variant

@@ -401,7 +401,7 @@ def test_a_slow_loop_keeps_up_with_a_full_bus(monkeypatch: pytest.MonkeyPatch, r
     config = on_interface("scripted", request.node.name)
     slow = config.model_copy(update={"loop": config.loop.model_copy(update={"rate": 10.0})})
     motors = [
-        motor.model_copy(update={"watchdog": None, "watchdog_waiver": "a test of the bus alone"})
+        motor.model_copy(update={"watchdog": None, "watchdog_waiver": "a test of the bus alone", "options": {}})
         for motor in config.motor
     ]
     bench = Bench(slow.model_copy(update={"motor": motors}), monkeypatch)

@@ -13,6 +13,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from drivers.contract import Capabilities
+from drivers.odrive.group import OdriveDriver
 from gateway.config import ConfigError, load, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
@@ -48,6 +50,7 @@ WRONG = [
         "feedback_rate = 1.0",
         ["motor left: feedback_rate = 1", "10 to 1000 Hz", "silent"],
     ),
+    ("moby", "feedback_rate = 250.0\n", "", ["motor left: feedback_rate is missing", "10 to 1000 Hz", "silent"]),
     ("moby", "feedback_rate = 250.0", "feedback_rate = 0.004", ["motor left: feedback_rate = 0.004", "10 to 1000 Hz"]),
     ("moby", "feedback_rate = 250.0", "feedback_rate = 1e-300", ["motor left: feedback_rate = 1e-300", "10 to 1000"]),
     (
@@ -58,8 +61,8 @@ WRONG = [
     ),
     (
         "moby",
-        "timeout = 0.1,",
-        "timeout = 0.01,",
+        "timeout = 0.1 }",
+        "timeout = 0.01 }",
         ["motor left: watchdog.timeout = 0.01", "0.012 to 1 s", "a lost frame"],
     ),
     ("moby", "[loop]\nrate = 250.0", "[loop]\nrate = 20.0", ["motor left: watchdog.timeout = 0.1", "0.15 to 1 s"]),
@@ -79,6 +82,72 @@ def test_wrong_files_are_named_and_explained(name: str, right: str, wrong: str, 
     message = str(caught.value)
     assert message.startswith("robot.toml: ")
     assert all(word in message for word in words), message
+
+
+def test_speed_loops_follow_the_capabilities_of_each_motor_of_a_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Moby's three motors are one group of one driver."""
+    full = Capabilities(velocity=True, torque=True, brake=True, feed_forward=True, device_watchdog=True)
+    assert build(parse(robot_text("moby"), "moby")).capabilities == (full,) * 3
+    able = (full, Capabilities(torque=True), Capabilities(voltage=True))
+    monkeypatch.setattr(OdriveDriver, "capabilities", property(lambda _: able))
+    with pytest.raises(ConfigError) as caught:
+        build(parse(robot_text("moby"), "moby"))
+    missing, useless = caught.value.problems
+    assert missing == "motor right: speed_loop is missing: its controller takes only torque"
+    assert useless.startswith("motor platform: variant = '0.6': its controller takes neither a speed nor a torque")
+    able = (full, Capabilities(torque=True), full)
+    gains = "speed_loop = { kp = 1.0, ki = 1.0 }\n"
+    robot = build(parse(robot_text("moby").replace("id = 2\n", "id = 2\n" + gains, 1), "moby"))
+    assert [loop is not None for loop in robot.speed_loops] == [False, True, False]
+    helped = Capabilities(velocity=True, torque=True, brake=True, feed_forward=True, limit=True)
+    assert robot.capabilities == (full, helped, full), "with a loop on the host the joint obeys a limit too"
+
+
+OPTIONS = 'options = { firmware = "0.6.10", watchdog_enable_endpoint = 188, watchdog_timeout_endpoint = 189 }'
+
+
+def test_options_are_for_the_driver_to_judge() -> None:
+    text = robot_text("moby")
+    left = parse(text, "moby").motors_in_order()[0]
+    assert left.options == {"firmware": "0.6.10", "watchdog_enable_endpoint": 188, "watchdog_timeout_endpoint": 189}
+    wrong = {
+        OPTIONS: "options = { poles = 7 }",
+        '"0.6.10"': "0.6",
+        "watchdog_enable_endpoint = 188": "watchdog_enable_endpoint = 188.0",
+        "watchdog_timeout_endpoint = 189": "watchdog_timeout_endpoint = true",
+        ", watchdog_timeout_endpoint = 189": "",
+    }
+    words = [".poles = 7: no such option", "firmware = 0.6: must", "= 188.0: must", "= True: must", "is missing"]
+    for (right, other), word in zip(wrong.items(), words, strict=True):
+        assert right in text
+        with pytest.raises(ConfigError, match=f"robot.toml: motor left: options.*{word}"):
+            build(parse(text.replace(right, other, 1), "robot.toml"), "robot.toml")
+
+
+@pytest.mark.parametrize(
+    "value", ["nan", "-inf", "1e16", "1" * 400, "[1]", "{ a = 1 }", "2026-01-01", f'"{"x" * 257}"']
+)
+def test_what_no_option_can_be(value: str) -> None:
+    text = robot_text("moby").replace(OPTIONS, f"options = {{ firmware = {value} }}", 1)
+    with pytest.raises(ConfigError) as caught:
+        parse(text, "robot.toml")
+    (problem,) = caught.value.problems
+    assert problem.startswith("motor[0].options.firmware")
+    assert problem.endswith("must be a number from -1e15 to 1e15, a text of at most 256 characters, true or false")
+
+
+BEFORE = 'watchdog = { timeout = 0.1, firmware = "0.6.10", enable_endpoint = 188, timeout_endpoint = 189 }\n'
+
+
+def test_the_parameter_numbers_of_an_odrive_may_still_be_where_recorded_robot_files_have_them() -> None:
+    text = robot_text("moby")
+    now = f"watchdog = {{ timeout = 0.1 }}\n{OPTIONS}\n"
+    assert text.count(now) == 3
+    assert parse(text.replace(now, BEFORE), "moby") == parse(text, "moby")
+    with pytest.raises(ConfigError, match=r"motor left: options.watchdog_enable_endpoint = 0: must be 1 to 65535"):
+        build(parse(text.replace(now, BEFORE.replace("188", "0"), 1), "moby"))
+    with pytest.raises(ConfigError, match=r"motor\[0\].watchdog.firmware = '0.6.10': Extra inputs are not permitted"):
+        parse(text.replace(now, BEFORE + OPTIONS + "\n", 1), "moby")
 
 
 C620 = """

@@ -200,6 +200,11 @@ def test_each_motor_gets_the_command_that_its_controller_knows() -> None:
     assert told(coast, coast, coast)[1] == COAST
     assert told(coast, helped, coast)[1] == MotorCommand(torque, 2.0)
     assert told(coast, helped._replace(limit=3.0), coast)[1] == MotorCommand(torque, 1.5)
+    (first, _, third) = told(helped._replace(limit=6.0), coast, helped)
+    assert first == MotorCommand(velocity, -4.0, -1.0, 1.5), "a speed loop in the controller gets both, at its shaft"
+    assert third == MotorCommand(velocity, 1.0, 4.0)
+    plain = told(two, coast, coast)[0].feed_forward
+    assert str(plain) == "0.0", "no minus zero, which would reach the wire"
 
 
 def test_status() -> None:

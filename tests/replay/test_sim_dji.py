@@ -21,7 +21,7 @@ SETUP = MotorSetup(
     max_current=20.0,
     inertia=1e-4,
     feedback_rate=1000.0,
-    watchdog=None,
+    watchdog_s=None,
 )
 C620_TORQUE_CONSTANT = 0.3 * 187 / 3591
 RPM = 2.0 * pi / 60.0

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.contract import CanFrame
-from gateway.config import WatchdogConfig
+from drivers.contract import CanFrame, OptionValue
 from replay.sim.controllers.contract import STEP_NS, STEP_S, MotorSetup, Shaft
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_tables import AxisState
@@ -16,7 +15,12 @@ from replay.sim.controllers.odrive_tables import AxisState
 MILLISECOND = 1_000_000
 INERTIA = 4e-4
 ENABLE, TIMEOUT = 188, 189
-WATCHDOG = WatchdogConfig(timeout=0.05, firmware="0.6.10", enable_endpoint=ENABLE, timeout_endpoint=TIMEOUT)
+WATCHDOG_S = 0.05
+OPTIONS: dict[str, OptionValue] = {
+    "firmware": "0.6.10",
+    "watchdog_enable_endpoint": ENABLE,
+    "watchdog_timeout_endpoint": TIMEOUT,
+}
 SETUP = MotorSetup(
     name="motor",
     bus="can0",
@@ -27,15 +31,16 @@ SETUP = MotorSetup(
     max_current=40.0,
     inertia=INERTIA,
     feedback_rate=250.0,
-    watchdog=WATCHDOG,
+    watchdog_s=WATCHDOG_S,
+    options=OPTIONS,
 )
 
 
 class Bench:
     """One ODrive with a free flywheel on its shaft, stepped by hand."""
 
-    def __init__(self, variant: str = "0.6", *, watchdog: WatchdogConfig | None = None, turns: float = 0.0) -> None:
-        setup = SETUP._replace(variant=variant, watchdog=watchdog, absolute=turns != 0.0)
+    def __init__(self, variant: str = "0.6", *, watchdog_s: float | None = None, turns: float = 0.0) -> None:
+        setup = SETUP._replace(variant=variant, watchdog_s=watchdog_s, absolute=turns != 0.0)
         self.device = SimulatedODrive(setup)
         self.shaft = Shaft(turns * 2.0 * pi, 0.0)
         self.torque = 0.0
@@ -114,7 +119,7 @@ def test_golden_encoder_estimate() -> None:
 
 
 def test_golden_heartbeat_06_after_watchdog() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     bench.enable_watchdog()
     bench.arm()
     bench.run(250)
@@ -150,7 +155,7 @@ def test_cyclic_frames_of_one_second(variant: str, expected: dict[int, int]) -> 
 
 
 def test_version_is_answered_by_06_only() -> None:
-    assert Bench(watchdog=WATCHDOG).send(0x00, remote=True)[0].data[4:] == bytes((0, 6, 10, 0))
+    assert Bench(watchdog_s=WATCHDOG_S).send(0x00, remote=True)[0].data[4:] == bytes((0, 6, 10, 0))
     assert Bench("0.5").send(0x00, remote=True) == []
 
 
@@ -169,7 +174,7 @@ def test_empty_frame_is_a_request_in_05_only() -> None:
     variant=st.sampled_from(["0.5", "0.6"]),
 )
 def test_any_frame_is_survived(*, command: int, data: bytes, remote: bool, variant: str) -> None:
-    bench = Bench(variant, watchdog=WATCHDOG)
+    bench = Bench(variant, watchdog_s=WATCHDOG_S)
     bench.arm()
     bench.send(command, data, remote=remote)
     bench.run(3)
@@ -177,7 +182,7 @@ def test_any_frame_is_survived(*, command: int, data: bytes, remote: bool, varia
 
 
 def test_foreign_frames_are_ignored() -> None:
-    bench = Bench("0.5", watchdog=WATCHDOG)
+    bench = Bench("0.5", watchdog_s=WATCHDOG_S)
     for frame in (CanFrame("can0", 4 << 5 | 0x02, b""), CanFrame("can0", 3 << 5 | 0x02, b"", extended=True)):
         assert bench.device.receive(frame, bench.now_ns) == ()
     assert bench.device.axis.errors == 0

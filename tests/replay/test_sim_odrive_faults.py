@@ -7,13 +7,13 @@ import pytest
 
 from replay.sim.controllers.contract import Shaft
 from replay.sim.controllers.odrive_tables import AxisState
-from tests.replay.test_sim_odrive import ENABLE, TIMEOUT, WATCHDOG, Bench
+from tests.replay.test_sim_odrive import ENABLE, TIMEOUT, WATCHDOG_S, Bench
 
 # -- parameters and watchdog ------------------------------------------------------------------------------------------
 
 
 def test_sdo_write_then_read() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     assert bench.send(0x04, pack("<BHBf", 1, TIMEOUT, 0, 0.25)) == []
     reply = bench.send(0x04, pack("<BHB", 0, TIMEOUT, 0))[0]
     assert reply.id == 3 << 5 | 0x05
@@ -23,7 +23,7 @@ def test_sdo_write_then_read() -> None:
 
 
 def test_watchdog_of_06_counts_from_arming_and_is_fed_by_setpoints() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     bench.enable_watchdog()
     bench.run(200)
     assert bench.device.axis.errors == 0
@@ -39,7 +39,7 @@ def test_watchdog_of_06_counts_from_arming_and_is_fed_by_setpoints() -> None:
 
 
 def test_watchdog_of_05_is_fed_by_any_frame_and_expires_in_idle() -> None:
-    bench = Bench("0.5", watchdog=WATCHDOG)
+    bench = Bench("0.5", watchdog_s=WATCHDOG_S)
     for _ in range(10):
         bench.run(49)
         bench.send(0x1A)
@@ -52,7 +52,7 @@ def test_watchdog_of_05_is_fed_by_any_frame_and_expires_in_idle() -> None:
 
 @pytest.mark.parametrize("variant", ["0.5", "0.6"])
 def test_watchdog_expiry_is_timely_coasts_and_latches(variant: str) -> None:
-    bench = Bench(variant, watchdog=WATCHDOG)
+    bench = Bench(variant, watchdog_s=WATCHDOG_S)
     bench.enable_watchdog()
     bench.arm()
     bench.send(0x0D, pack("<ff", 3.0, 0.0))
@@ -74,7 +74,7 @@ def test_watchdog_expiry_is_timely_coasts_and_latches(variant: str) -> None:
 
 
 def test_unplugged_node_is_silent_and_deaf_and_its_watchdog_bites() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     bench.enable_watchdog()
     bench.arm()
     bench.device.unplug()
@@ -88,7 +88,7 @@ def test_unplugged_node_is_silent_and_deaf_and_its_watchdog_bites() -> None:
 
 
 def test_power_cycle_forgets_position_mode_and_unsaved_parameters() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     bench.shaft = Shaft(12.0 * 2.0 * pi, 0.0)
     bench.enable_watchdog()
     bench.arm()
@@ -102,7 +102,7 @@ def test_power_cycle_forgets_position_mode_and_unsaved_parameters() -> None:
 
 
 def test_saved_parameters_survive_a_power_cycle_until_erased() -> None:
-    bench = Bench(watchdog=WATCHDOG)
+    bench = Bench(watchdog_s=WATCHDOG_S)
     bench.enable_watchdog()
     bench.send(0x16, b"\x01")
     bench.device.power_cycle()

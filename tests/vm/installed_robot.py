@@ -45,7 +45,7 @@ def robot_text() -> str:
         ("feedback_rate = 250.0", "feedback_rate = 10.0"),  # silent only after half a second
         ("rate = 250.0", f"rate = {RATE_HZ}"),
         ('channel = "can0"', 'channel = "vcan0"'),
-        ("timeout = 0.1,", f"timeout = {DEVICE_WATCHDOG_S},"),
+        ("watchdog = { timeout = 0.1 }", f"watchdog = {{ timeout = {DEVICE_WATCHDOG_S} }}"),
         ("timeout = 0.3 ", "timeout = 1.0 "),  # of teleop
     ):
         assert before in text

@@ -1,10 +1,10 @@
 """What the simulated world and a simulated motor controller say to each other; everything at the motor shaft, SI."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
-from drivers.contract import CanFrame
-from gateway.config import WatchdogConfig
+from drivers.contract import CanFrame, OptionValue
 
 SECOND_NS = 1_000_000_000
 STEP_NS = 1_000_000  # fixed substep of the world and control period of every simulated controller
@@ -25,9 +25,10 @@ class MotorSetup(NamedTuple):
     max_torque: float  # N m
     max_current: float  # A, the current that gives max_torque
     inertia: float  # kg m^2 felt at the shaft while the other joints are free; the speed loop is tuned to it
-    feedback_rate: float  # Hz
-    watchdog: WatchdogConfig | None
+    feedback_rate: float | None  # Hz; None: it only replies
+    watchdog_s: float | None  # the command timeout that the robot file wants
     absolute: bool = False  # the encoder knows the shaft's angle (all turns) also after a power cut
+    options: Mapping[str, OptionValue] = MappingProxyType({})  # those of its driver
 
 
 class Shaft(NamedTuple):
@@ -101,7 +102,9 @@ class Clock:
 
     __slots__ = ("due_ns", "period_ns", "phase")
 
-    def __init__(self, rate_hz: float, node_id: int) -> None:
+    def __init__(self, rate_hz: float | None, node_id: int) -> None:
+        if rate_hz is None:
+            raise ValueError(f"id {node_id}: a controller with cyclic frames needs a feedback_rate")
         skew = 1.0 + ((node_id * 61) % (2 * _MAX_SKEW_PPM + 1) - _MAX_SKEW_PPM) * 1e-6
         self.period_ns = round(SECOND_NS / rate_hz * skew)
         self.phase = (node_id * _GOLDEN_RATIO) % 1.0

@@ -189,8 +189,7 @@ class SimulatedODrive:
 
     def _reports_06(self) -> dict[int, Callable[[], bytes]]:
         axis, floats = self.axis, wire.TWO_FLOATS.pack
-        watchdog = self.setup.watchdog
-        firmware = wire.DEFAULT_FIRMWARE if watchdog is None else watchdog.firmware
+        firmware = str(self.setup.options.get("firmware", wire.DEFAULT_FIRMWARE))
         version = wire.VERSION.pack(*wire.PROTOCOL_AND_HARDWARE, *map(int, firmware.split(".")), 0)
         return {
             Command.GET_VERSION: lambda: version,

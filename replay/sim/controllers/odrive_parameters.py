@@ -12,16 +12,17 @@ class Parameters:
     """Watchdog settings, off by default. Writes live in RAM; `save` makes them survive (Reboot with payload 1)."""
 
     def __init__(self, setup: MotorSetup, *, over_usb: bool) -> None:
-        watchdog = setup.watchdog
+        timeout = setup.watchdog_s
         self._layouts: dict[int, Struct] = {}
         self._enable_endpoint = self._timeout_endpoint = -1
         self._saved: dict[int, float] = {-1: 0.0}
-        if watchdog is not None:
-            self._enable_endpoint, self._timeout_endpoint = watchdog.enable_endpoint, watchdog.timeout_endpoint
-            self._layouts = {watchdog.enable_endpoint: _BOOL, watchdog.timeout_endpoint: _FLOAT}
+        if timeout is not None:
+            self._enable_endpoint = int(setup.options["watchdog_enable_endpoint"])
+            self._timeout_endpoint = int(setup.options["watchdog_timeout_endpoint"])
+            self._layouts = {self._enable_endpoint: _BOOL, self._timeout_endpoint: _FLOAT}
             self._saved = {
-                watchdog.enable_endpoint: float(over_usb),
-                watchdog.timeout_endpoint: watchdog.timeout if over_usb else 0.0,
+                self._enable_endpoint: float(over_usb),
+                self._timeout_endpoint: timeout if over_usb else 0.0,
             }
         self._factory = dict.fromkeys(self._saved, 0.0)
         self.reboot()
