@@ -26,6 +26,7 @@ from drivers.contract import (
     ReceiveFilter,
     Traffic,
 )
+from drivers.twins import TwinWatch, twin_fault
 from replay.sim.controllers.contract import STEP_S, Emission, MotorSetup, Shaft
 
 COMMAND, REPLY = 0x10, 0x60
@@ -60,6 +61,7 @@ class _Motor:
         self.heard_ns: int | None = None
         self.kind = CommandKind.COAST
         self.position = self.velocity = 0.0
+        self.twins = TwinWatch(spec)
         self.fault: DriverFault | None = None
 
     def silent(self, now_ns: int) -> bool:
@@ -124,6 +126,8 @@ class ReplyOnlyDriver:
         motor.heard_ns, motor.unanswered_ns = frame.received_ns, None
         if fault:
             motor.fault = DriverFault("device_error", f"fault {fault}", latched=True)
+        if motor.twins.take(motor.position, motor.velocity, frame.received_ns):
+            motor.fault = twin_fault(motor.spec, self._bus)
         return True
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
@@ -136,6 +140,7 @@ class ReplyOnlyDriver:
     def clear_faults(self) -> None:
         for motor in self._motors:
             motor.fault = None
+            motor.twins.forget()
 
     def coast_frames(self) -> list[CanFrame]:
         return [self._frame(motor, COAST) for motor in self._motors]

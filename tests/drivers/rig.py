@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, pi
 from struct import Struct, pack, unpack, unpack_from
 from types import MappingProxyType
 from typing import Protocol
@@ -252,6 +252,15 @@ def dji_setpoints(frame: CanFrame) -> tuple[float, ...]:
     return unpack(">4h", frame.data) if frame.id in {0x200, 0x1FF} else ()
 
 
+def odrive_measurement(node: int, position: float, velocity: float) -> CanFrame:
+    return CanFrame(BUS, node << 5 | 0x09, pack("<ff", position / (2 * pi), velocity / (2 * pi)))
+
+
+def dji_measurement(id: int, position: float, velocity: float) -> CanFrame:
+    ticks = int(position / (2 * pi) * 8192) % 8192
+    return CanFrame(BUS, 0x200 + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0))
+
+
 @dataclass
 class Rig:
     """How to test one driver: its kinds of command, a bench with two motors, its setpoints, a frame with a fault."""
@@ -262,6 +271,7 @@ class Rig:
     device: Callable[[int, str], Device]
     setpoints: Callable[[CanFrame], tuple[float, ...]]
     fault_frame: Callable[[int, str], CanFrame] | None
+    measurement: Callable[[int, float, float], CanFrame]  # of an id, at so many rad and rad/s
     watchdogs: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)  # by variant: options with it
     commands: frozenset[str] = frozenset()  # names of the messages that a host sends
 
@@ -294,6 +304,7 @@ RIGS: dict[str, Rig] = {
         device=FakeOdrive,
         setpoints=odrive_setpoints,
         fault_frame=lambda node, _variant: CanFrame(BUS, node << 5 | 1, pack("<IBBBB", 0x4000, 1, 0, 0, 0)),
+        measurement=odrive_measurement,
         watchdogs={"0.6": ODRIVE_OPTIONS},
         commands=frozenset(message.name for line in FIRMWARES.values() for message in line.to_device.values()),
     ),
@@ -304,6 +315,7 @@ RIGS: dict[str, Rig] = {
         device=lambda id, _variant: FakeDji(id),
         setpoints=dji_setpoints,
         fault_frame=None,  # the controllers report no faults
+        measurement=dji_measurement,
         commands=frozenset({"command"}),
     ),
     "reply_only": Rig(
@@ -313,6 +325,7 @@ RIGS: dict[str, Rig] = {
         device=lambda id, _variant: FakeReplier(id),
         setpoints=command_values,
         fault_frame=lambda id, _variant: CanFrame(BUS, REPLY + id, reply_data(7, 0.0, 0.0)),
+        measurement=lambda id, position, velocity: CanFrame(BUS, REPLY + id, reply_data(0, position, velocity)),
         commands=frozenset({"command"}),
     ),
 }

@@ -24,6 +24,7 @@ from drivers.contract import (
     OptionValue,
 )
 from drivers.odrive.group import OdriveDriver
+from gateway.core import snapshot
 from tests.drivers.rig import (
     BUS,
     DRIVER_TYPES,
@@ -341,6 +342,20 @@ def test_coast_and_stop_frames_are_valid_in_any_state(driver: str, variant: str)
     assert (stand.driver.coast_frames(), stand.driver.stop_frames(now_ns=stand.now_ns)) == fresh
     stand.driver.coast_frames().clear()
     assert stand.driver.coast_frames() == fresh[0]
+
+
+@pytest.mark.parametrize(("driver", "variant"), PAIRS)
+def test_its_state_is_in_the_snapshot_of_the_core(driver: str, variant: str) -> None:
+    kind = moving_kinds(RIGS[driver])[0]
+    stand, rig = operational(driver, variant, kind)
+    state = snapshot.take(stand.driver, "a robot")
+    restored = DRIVERS[driver](BUS, rig.specs(variant))
+    assert snapshot.take(restored, "a robot") != state
+    snapshot.put(restored, "a robot", state)
+    assert snapshot.take(restored, "a robot") == state
+    command, now_ns = [MotorCommand(kind, 1.0)] * 2, stand.now_ns
+    assert restored.command(command, now_ns=now_ns) == stand.driver.command(command, now_ns=now_ns)
+    assert restored.feedback(now_ns=now_ns) == stand.driver.feedback(now_ns=now_ns)
 
 
 @every_variant

@@ -1,15 +1,13 @@
 """Two controllers on one id are named soon, at rest and at speed; one rotor is never taken for two."""
 
 from collections.abc import Callable, Iterator
-from math import pi
 from random import Random
-from struct import pack
 
 import pytest
 
 from drivers import DRIVERS
 from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
-from tests.drivers.rig import BUS, MS, PAIRS, FakeOdrive, spec
+from tests.drivers.rig import BUS, DRIVER_TYPES, MS, RIGS, UNDER_CONTRACT, spec
 
 TOP = 100.0  # rad/s, of the specs
 HZ = 250.0  # of the feedback
@@ -20,16 +18,12 @@ Line = Callable[[list[Reading], Random], list[Reading]]
 
 def frame(driver: str, reading: Reading, *, id: int = 3) -> CanFrame:
     t, position, velocity = reading
-    stamp = round(t * 1e9)
-    if driver == "odrive":
-        return CanFrame(BUS, id << 5 | 9, pack("<ff", position / (2 * pi), velocity / (2 * pi)), received_ns=stamp)
-    ticks = int(position / (2 * pi) * 8192) % 8192
-    return CanFrame(BUS, 0x200 + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0), received_ns=stamp)
+    return RIGS[driver].measurement(id, position, velocity)._replace(received_ns=round(t * 1e9))
 
 
 def fault_after(driver: str, variant: str, readings: list[Reading]) -> int | None:
     """How many readings it takes until two controllers are told of; None: all of them are not enough."""
-    unit = DRIVERS[driver](BUS, [spec(variant)])
+    unit = DRIVER_TYPES[driver](BUS, [spec(variant)])
     for number, reading in enumerate(readings, 1):
         unit.receive(frame(driver, reading))
         if told(unit) is not None:
@@ -52,7 +46,7 @@ def together(*rotors: list[Reading]) -> list[Reading]:
     return sorted(reading for rotor in rotors for reading in rotor)
 
 
-both = pytest.mark.parametrize(("driver", "variant"), PAIRS)
+both = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 
 
 @both
@@ -81,9 +75,9 @@ def test_a_twin_that_reports_more_rarely(driver: str, variant: str) -> None:
 
 @both
 def test_the_fault_names_id_and_bus_and_stays_until_it_is_cleared(driver: str, variant: str) -> None:
-    unit = DRIVERS[driver](BUS, [spec(variant), spec(variant, id=5)])
-    if driver == "odrive":
-        unit.receive(FakeOdrive(3, variant).heartbeat()._replace(received_ns=0))
+    unit = DRIVER_TYPES[driver](BUS, [spec(variant), spec(variant, id=5)])
+    for said in RIGS[driver].device(3, variant).answers([], 0):
+        unit.receive(said)
     for reading in together(turning(0.0, count=10), turning(0.0, start=1.0, at=0.5, count=10)):
         unit.receive(frame(driver, reading))
     for reading in turning(0.0, start=1.0, count=50):
