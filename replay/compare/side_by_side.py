@@ -21,7 +21,7 @@ import numpy as np
 
 from gateway.config import RobotConfig, parse
 from replay.compare.replay import CRASHES, Replay, same
-from replay.sessions.cycles import CycleRows, Seen
+from replay.sessions.cycles import CycleRows, Seen, made
 from replay.sessions.reader import Session, Stretch, packed
 
 AHEAD = 32  # stretches that wait in memory for a process, or for their turn: at 1 kHz some 2 MB each
@@ -143,7 +143,7 @@ def _equal(config: RobotConfig, stretch: Stretch) -> _Tally | None:
     cycles = frames = 0
     first_ns = None
     for window in rows.windows():
-        for inputs, recorded in list(window.values()):
+        for inputs, recorded in made(window):
             engine = replay.engine(inputs)
             if engine is None:
                 continue

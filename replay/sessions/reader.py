@@ -34,7 +34,7 @@ from gateway.recording.schema import (
     Header,
 )
 from replay.sessions import cycles, version_1
-from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window
+from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window, made
 from replay.sessions.framing import Found, checksum, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
@@ -189,10 +189,11 @@ class Session:
         last = -1
         for path in self.segments:
             for window in self._load(path).windows():
-                for inputs, outputs in self._values(window, path):
-                    if inputs.cycle > last:
-                        last = inputs.cycle
-                        yield inputs, outputs
+                found = self._values(window, path)
+                if found and window.first_cycle <= last:
+                    found = [cycle for cycle in found if cycle[0].cycle > last]
+                yield from found
+                last = found[-1][0].cycle if found else last
 
     def snapshot(self, cycle: int) -> dict[str, Any] | None:
         """The state of the core after this cycle, if it was recorded there and that segment has been read."""
@@ -224,7 +225,7 @@ class Session:
 
     def _values(self, window: Window, path: Path) -> list[Cycle]:
         try:
-            return list(window.values())
+            return made(window)
         except _DAMAGED as error:
             self._parts[path].problems.append(f"it is damaged near cycle {window.first_cycle}: {error!r}")
             return []
