@@ -348,7 +348,10 @@ def _figures(
         figures |= {f"{name}_{word}_us": _quantile(all_ns, shares[word]) for word in ("p50", "p99")}
     figures["loop_work_p50_us"] = _quantile(served.work_ns[SETTLING:], 0.5)
     expected = figures["bare_zenoh_p50_us"] + 0.5 * PERIOD_NS * MICRO
-    return figures | {"command_rest_p50_us": figures["put_to_can_p50_us"] - expected}
+    return figures | {
+        "bare_zenoh_and_half_period_us": expected,
+        "command_rest_p50_us": figures["put_to_can_p50_us"] - expected,
+    }
 
 
 def _quantile(values: Sequence[int], share: float) -> float:
