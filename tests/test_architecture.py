@@ -48,7 +48,8 @@ PURE = ("drivers", "drivers/odrive", "ground", "gateway/kinematics", "gateway/co
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
 IMPURE_FILES = {
-    *("replay/compare/verify.py", "replay/drive/player.py", "replay/drive/redrive.py"),
+    *("replay/compare/side_by_side.py", "replay/compare/verify.py"),
+    *("replay/drive/player.py", "replay/drive/redrive.py"),
     *("replay/sim/network_device.py", "replay/sim/server.py"),
 }
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)

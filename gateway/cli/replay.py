@@ -1,7 +1,9 @@
 """`drivegate replay`: what to do with a recorded session."""
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from math import inf
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +19,7 @@ from gateway.edges.claims import Claims
 from gateway.edges.zenoh_session import LinkError
 from replay.compare.likeness import Comparison
 from replay.compare.retrace import columns, frames, rows
+from replay.compare.side_by_side import processes
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
 from replay.compare.verify import verify as run_verify
 from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
@@ -25,6 +28,7 @@ from replay.drive.redrive import RedriveError, redrive
 from replay.sessions.reader import Session, SessionError, open_session
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
+WORTH_PROCESSES = 4_000_000  # bytes of a session; less is compared before processes have started
 
 replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True, rich_markup_mode="markdown")
 
@@ -37,6 +41,9 @@ def _group() -> None:
 @replay.command()
 def verify(
     session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    jobs: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Processes side by side. Default: one per processor.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable verdict.")] = False,
 ) -> None:
     """Run the recorded inputs through the same core: would it do the same again?
@@ -53,7 +60,7 @@ def verify(
     not what it was, or null).
     """
     try:
-        verdict = verify_with_progress(open_session(session))
+        verdict = verify_with_progress(open_session(session), jobs)
     except (SessionError, ValueError) as error:
         if json:
             print_json(not_replayable(str(error)).as_json())
@@ -236,12 +243,23 @@ def _told(path: Path) -> Iterator[Session]:
     raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
 
 
-def verify_with_progress(session: Session) -> Verdict:
-    """Verify with a progress bar on a terminal."""
+def verify_with_progress(session: Session, jobs: int | None = None) -> Verdict:
+    """Verify, side by side where it is worth it, with a progress bar on a terminal."""
     columns = (TextColumn("verifying"), BarColumn(), TextColumn("{task.completed:.0f} cycles"), TimeRemainingColumn())
-    with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress:
-        task = progress.add_task("verify", total=session.cycle_count)
-        return run_verify(session, lambda done: progress.advance(task, done))
+    watched = errors.is_terminal
+    with (
+        _side_by_side(session, jobs) as pool,
+        Progress(*columns, console=errors, disable=not watched, transient=True) as progress,
+    ):
+        task = progress.add_task("verify", total=session.cycle_count if watched else None)
+        return run_verify(session, lambda done: progress.advance(task, done), pool=pool)
+
+
+def _side_by_side(session: Session, jobs: int | None) -> AbstractContextManager[Executor | None]:
+    """As many processes as wanted; by default as there are processors, and none for a short session."""
+    size = sum(segment.stat().st_size for segment in session.segments if segment.exists())
+    wanted = jobs or (len(os.sched_getaffinity(0)) if size >= WORTH_PROCESSES else 1)
+    return processes(wanted) if wanted > 1 else nullcontext()
 
 
 def show(verdict: Verdict) -> None:

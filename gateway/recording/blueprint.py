@@ -23,7 +23,7 @@ _CAN_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["b
 
 
 def blueprint(*, eye_height: float) -> rrb.Blueprint:
-    """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom.
+    """Robot from above, its path | wheel speeds, body velocity, loop timing; modes and events along the bottom.
 
     The first plot of the channels has a place of its own, the others share one, the second of them on top.
     """
@@ -31,7 +31,7 @@ def blueprint(*, eye_height: float) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                _from_above(eye_height),
+                rrb.Vertical(_from_above(eye_height), _whole_path(), row_shares=[3, 2]),
                 rrb.Vertical(
                     wheels,
                     rrb.Tabs(*others, active_tab=0),
@@ -69,21 +69,33 @@ def _from_above(eye_height: float) -> rrb.Spatial3DView:
 
     The viewer follows only what has something to draw, hence the body and not the frame it belongs to.
     """
-    trail = rrb.VisibleTimeRanges(
-        timeline=WALL,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=(0.0, 0.0, eye_height),
+        look_target=(0.0, 0.0, 0.0),
+        eye_up=(1.0, 0.0, 0.0),
+        tracking_entity=BODY,
     )
+    return _scene(
+        "From above; velocity wanted (orange) and measured (blue)",
+        path_from=rrb.TimeRangeBoundary.cursor_relative(seconds=-PATH_SECONDS),
+        eye_controls=eye,
+    )
+
+
+def _whole_path() -> rrb.Spatial3DView:
+    """All of it up to now; without an eye of its own the viewer takes one that sees everything."""
+    return _scene("Whole path", path_from=rrb.TimeRangeBoundary.infinite())
+
+
+def _scene(
+    name: str, *, path_from: rrb.TimeRangeBoundary, eye_controls: rrb.EyeControls3D | None = None
+) -> rrb.Spatial3DView:
+    trail = rrb.VisibleTimeRanges(timeline=WALL, start=path_from, end=rrb.TimeRangeBoundary.cursor_relative())
     return rrb.Spatial3DView(
         origin=WORLD,
-        name="From above; velocity wanted (orange) and measured (blue)",
+        name=name,
         overrides={PATH: trail},
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, color=0x80808050),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=(0.0, 0.0, eye_height),
-            look_target=(0.0, 0.0, 0.0),
-            eye_up=(1.0, 0.0, 0.0),
-            tracking_entity=BODY,
-        ),
+        eye_controls=eye_controls,
     )

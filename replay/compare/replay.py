@@ -1,25 +1,31 @@
 """Which core a recorded cycle is run through: from cycle 0 on, and behind a gap from the next snapshot on."""
 
+from collections.abc import Callable
+from typing import Any
+
 from gateway.config import RobotConfig
 from gateway.core.engine import Engine
 from gateway.core.snapshot import SnapshotError
-from gateway.types import Inputs
-from replay.sessions.reader import Session
+from gateway.types import Inputs, Outputs
+from replay.sessions.reader import RecordedOutputs
+
+# What a core may raise that is given inputs which it never had: damaged ones, or those of another version.
+CRASHES = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 
 
 class Replay:
     """Give it the inputs of every cycle of a session, in order. Raises ConfigError at construction.
 
-    `unseen`: cycles for which there was no core. `covered_ns`: the time that the others cover. `refused`: why a
-    snapshot could not be used.
+    `snapshot`: the recorded state of the core after a cycle, if there is one. `unseen`: cycles for which there was no
+    core. `covered_ns`: the time that the others cover. `refused`: why a snapshot could not be used.
     """
 
-    def __init__(self, config: RobotConfig, session: Session) -> None:
+    def __init__(self, config: RobotConfig, snapshot: Callable[[int], dict[str, Any] | None]) -> None:
         self.unseen = 0
         self.covered_ns = 0
         self.refused: str | None = None
         self._config = config
-        self._session = session
+        self._snapshot = snapshot
         self._engine: Engine | None = Engine(config)
         self._next = 0
         self._last_ns: int | None = None
@@ -37,8 +43,17 @@ class Replay:
         self._last_ns = inputs.now_ns
         return self._engine
 
+    @property
+    def last_ns(self) -> int | None:
+        """The time of the cycle before; None if it had no core."""
+        return self._last_ns
+
+    def state(self) -> dict[str, Any] | None:
+        """Of the core after the cycle before; None if nobody knows it."""
+        return None if self._engine is None else self._engine.snapshot()
+
     def _restored(self, cycle: int) -> Engine | None:
-        state = self._session.snapshot(cycle)
+        state = self._snapshot(cycle)
         if state is None:
             return None
         try:
@@ -46,3 +61,14 @@ class Replay:
         except SnapshotError as error:
             self.refused = self.refused or f"after cycle {cycle}: {error}"
             return None
+
+
+def same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
+    """Whether the core says again what it said."""
+    return (
+        outputs.frames == recorded.frames
+        and outputs.mode is recorded.mode
+        and outputs.odometry == recorded.odometry
+        and outputs.events == recorded.events
+        and outputs.replies == recorded.replies
+    )

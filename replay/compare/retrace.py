@@ -34,7 +34,7 @@ def columns(session: Session) -> list[str]:
 def rows(session: Session) -> Iterator[list[Cell]]:
     """One row per cycle that can be replayed, SI, None where something is unknown or released. Raises ConfigError."""
     config = parse(session.config_text, "robot file of the session")
-    replay, layout = Replay(config, session), Layout(config.robot.motor_names())
+    replay, layout = Replay(config, session.snapshot), Layout(config.robot.motor_names())
     first_ns = None
     for inputs, _ in session.cycles():
         first_ns = inputs.now_ns if first_ns is None else first_ns

@@ -20,6 +20,7 @@ and what is left of a session whose beginning was deleted; recorded cycles that 
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 from drivers.contract import CanFrame
@@ -27,13 +28,13 @@ from gateway.config import parse
 from gateway.core.engine import Engine
 from gateway.core.frame_words import FrameWords, fields, raw
 from gateway.types import Inputs, Outputs
-from replay.compare.replay import Replay
+from replay.compare.replay import CRASHES, Replay, same
+from replay.compare.side_by_side import Compared, confirmed
 from replay.sessions.reader import RecordedOutputs, Session
 from replay.sessions.software import change
 
 PROGRESS_CYCLES = 1000
 EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
-_CRASHES = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
 
 
 class Difference(NamedTuple):
@@ -92,14 +93,19 @@ def not_replayable(problem: str) -> Verdict:
     )
 
 
-def verify(session: Session, progress: Callable[[int], None] | None = None) -> Verdict:
-    """Re-run every recorded cycle. `progress` is called with the number of cycles done since its last call.
+def verify(session: Session, progress: Callable[[int], None] | None = None, *, pool: Executor | None = None) -> Verdict:
+    """Re-run every recorded cycle, here or side by side. `progress` is told how many more cycles are done.
 
+    The verdict is the same with a pool (`replay.compare.side_by_side`) and without, but for the time that it took.
     Raises ConfigError if this version of the software refuses the recorded robot file.
     """
     config = parse(session.config_text, "robot file of the session")
-    replay, words = Replay(config, session), FrameWords(config)
+    told = _Progress(progress)
     started_ns = time.perf_counter_ns()
+    found = None if pool is None else confirmed(session, pool, told.add)
+    if found is not None:
+        return _verdict(found.session, found.compared, None, started_ns)
+    replay, words = Replay(config, session.snapshot), FrameWords(config)
     cycles = frames = 0
     difference = None
     for done, (inputs, recorded) in enumerate(session.cycles(), start=1):
@@ -110,21 +116,45 @@ def verify(session: Session, progress: Callable[[int], None] | None = None) -> V
             frames += len(recorded.frames)
         if difference is not None:
             break
-        if progress is not None and done % PROGRESS_CYCLES == 0:
-            progress(PROGRESS_CYCLES)
+        if done % PROGRESS_CYCLES == 0:
+            told.reach(done)
+    compared = Compared(cycles, frames, replay.unseen, replay.covered_ns)
+    return _verdict(session, compared, difference, started_ns, replay.refused)
+
+
+class _Progress:
+    """Tells of each cycle once, also of those that are run a second time."""
+
+    def __init__(self, tell: Callable[[int], None] | None) -> None:
+        self._tell = tell
+        self._told = 0
+
+    def add(self, cycles: int) -> None:
+        self._told += cycles
+        if self._tell is not None:
+            self._tell(cycles)
+
+    def reach(self, cycles: int) -> None:
+        if cycles > self._told:
+            self.add(cycles - self._told)
+
+
+def _verdict(
+    session: Session, compared: Compared, difference: Difference | None, started_ns: int, refused: str | None = None
+) -> Verdict:
     elapsed_ns = max(time.perf_counter_ns() - started_ns, 1)
-    problem = session.problem or (None if cycles else "the session holds no cycles")
-    exit_code = _exit_code(difference, cycles, complete=problem is None, pruned=session.pruned)
+    problem = session.problem or (None if compared.cycles else "the session holds no cycles")
+    exit_code = _exit_code(difference, compared.cycles, complete=problem is None, pruned=session.pruned)
     return Verdict(
         identical=exit_code == EXIT_IDENTICAL,
         complete=problem is None,
-        cycles=cycles,
-        frames=frames,
-        unseen=replay.unseen,
-        realtime_ratio=replay.covered_ns / elapsed_ns,
+        cycles=compared.cycles,
+        frames=compared.frames,
+        unseen=compared.unseen,
+        realtime_ratio=compared.covered_ns / elapsed_ns,
         first_difference=difference,
         problem=problem,
-        refused=replay.refused,
+        refused=refused,
         exit_code=exit_code,
         software_change=None if difference is None else change(session.header),
     )
@@ -142,19 +172,9 @@ def _step(engine: Engine, words: FrameWords, inputs: Inputs, recorded: RecordedO
     """One cycle; a core that breaks on what it once answered, as it may on damaged inputs, answers differently."""
     try:
         outputs = engine.step(inputs)
-    except _CRASHES as error:
+    except CRASHES as error:
         return Difference(inputs.cycle, None, "answer", f"{len(recorded.frames)} frames", f"exception {error!r}")
-    return None if _same(outputs, recorded) else _difference(inputs.cycle, words, outputs, recorded)
-
-
-def _same(outputs: Outputs, recorded: RecordedOutputs) -> bool:
-    return (
-        outputs.frames == recorded.frames
-        and outputs.mode is recorded.mode
-        and outputs.odometry == recorded.odometry
-        and outputs.events == recorded.events
-        and outputs.replies == recorded.replies
-    )
+    return None if same(outputs, recorded) else _difference(inputs.cycle, words, outputs, recorded)
 
 
 def _difference(cycle: int, words: FrameWords, outputs: Outputs, recorded: RecordedOutputs) -> Difference:

@@ -6,6 +6,7 @@ Blocks are unpacked at once, which is cheap: a column is an array. Every cycle w
 left out and named. Only then, a window of cycles at a time, columns become Python values.
 """
 
+import gc
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise, repeat
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from gateway.recording.block import DAMAGED, Block, unpacked
 from gateway.recording.packets import Gap
 from gateway.recording.schema import BLOCK_COLUMNS, BLOCK_PATH, COUNTERS, CYCLE, INPUTS, OUTPUTS, Kind, Table
 from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
-from replay.sessions.tables import Columns, Layout, Tables
+from replay.sessions.tables import Layout, Tables
 
 WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
 SPOILT = "not as it was written"
@@ -46,8 +47,16 @@ class RecordedOutputs(NamedTuple):
 Cycle = tuple[Inputs, RecordedOutputs]
 
 
+class Packed(NamedTuple):
+    """A block as it lies in a segment, and what the row that it lies in says of it."""
+
+    first_cycle: int
+    cycles: int
+    block: bytes
+
+
 class Window(NamedTuple):
-    """Some cycles, whose values are made when they are asked for."""
+    """Some cycles in ascending order, whose values are made when they are asked for."""
 
     first_cycle: int
     values: Callable[[], Iterable[Cycle]]
@@ -66,35 +75,69 @@ class _Run(NamedTuple):
         return self.block.cycles.numbers("cycle")[self.start : self.end]
 
 
+class Seen(NamedTuple):
+    """Which cycles are as they were written, in order, and which are there and are not."""
+
+    cycle: Integers
+    damaged: list[Gap]
+
+
 class CycleRows:
-    """The cycles of a segment that are as they were written, from its columns by entity path.
+    """The cycles of some blocks of a segment that are as they were written.
 
     `damaged`: those that are not. A window raises KeyError, TypeError or ValueError where values are of no known kind.
     """
 
-    def __init__(self, tables: Tables) -> None:
+    def __init__(self, blocks: Iterable[Packed]) -> None:
         self.damaged: list[Gap] = []
-        runs = [run for block in self._blocks(tables.get(BLOCK_PATH)) for run in _runs(block)]
+        runs = [run for block in self._unpacked(blocks) for run in _runs(block)]
         self._runs = sorted((run for run in runs if run.whole), key=lambda run: int(run.cycle[0]))
         self.cycle: Integers = np.concatenate([np.empty(0, np.int64), *(run.cycle for run in self._runs)])
         spoilt = [run.cycle for run in runs if not run.whole]
         self.damaged += [Gap(int(cycle.min()), int(cycle.max()), SPOILT) for cycle in spoilt]
 
-    def _blocks(self, columns: Columns | None) -> Iterator[Block]:
-        if columns is None:
-            return
-        rows = (columns[CYCLE], columns["count"].flatten(), columns["block"].flatten())
-        for first, count, block in zip(*(row.to_pylist() for row in rows), strict=True):
+    def _unpacked(self, blocks: Iterable[Packed]) -> Iterator[Block]:
+        for first, count, block in blocks:
             try:
                 yield unpacked(block)
             except DAMAGED:
                 self.damaged.append(Gap(first, first + count - 1, SPOILT))
+
+    @property
+    def seen(self) -> Seen:
+        """What there is, without its values."""
+        return Seen(self.cycle, self.damaged)
 
     def windows(self) -> Iterator[Window]:
         """All of the cycles, some at a time."""
         for run in self._runs:
             for start in range(run.start, run.end, WINDOW):
                 yield _window(run.block, start, min(start + WINDOW, run.end))
+
+
+def made(window: Window) -> list[Cycle]:
+    """The values of a window. Raises as they do."""
+    collecting = gc.isenabled()
+    gc.disable()  # there are no circles in them, and looking for some takes a fifth of the time
+    try:
+        return list(window.values())
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def blocks_of(tables: Tables) -> list[Packed]:
+    """The blocks of a segment, from its columns by entity path."""
+    columns = tables.get(BLOCK_PATH)
+    if columns is None:
+        return []
+    rows = (columns[CYCLE], columns["count"].flatten(), columns["block"].flatten())
+    return [Packed(*row) for row in zip(*(row.to_pylist() for row in rows), strict=True)]
+
+
+def rows_of(tables: Tables) -> CycleRows:
+    """The cycles of a segment, from its columns by entity path."""
+    return CycleRows(blocks_of(tables))
 
 
 def count(tables: Tables) -> int:
@@ -104,7 +147,9 @@ def count(tables: Tables) -> int:
 
 
 def _runs(block: Block) -> Iterator[_Run]:
-    borders = (np.flatnonzero(np.diff(block.whole)) + 1).tolist()
+    """Also ended where cycles do not ascend, which no recorder writes."""
+    descends = np.diff(block.cycles.numbers("cycle")) <= 0
+    borders = (np.flatnonzero(np.diff(block.whole) | descends) + 1).tolist()
     for start, end in pairwise([0, *borders, len(block.whole)]):
         if start < end:
             yield _Run(block, start, end, bool(block.whole[start]))
@@ -137,6 +182,9 @@ def _groups(block: Block, table: Table, start: int, end: int) -> list[tuple[Any,
     if first == last:
         return groups
     values = columns.values(table, first, last)
+    each = int(counts[0])
+    if each and bool((counts == each).all()):  # as a bus that keeps its time has it
+        return list(zip(*[iter(values)] * each, strict=True))
     if last - first >= len(groups):
         return [values[a:b] for a, b in pairwise([0, *(ends - first).tolist()])]
     there = np.flatnonzero(counts)

@@ -10,7 +10,7 @@ one sealed as final. Recordings from before there were seals are taken at the wo
 
 import hashlib
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from gateway.recording.disk import segment_number, segments
-from gateway.recording.packets import Gap
+from gateway.recording.packets import Gap, encode
 from gateway.recording.schema import (
     GAP_COLUMNS,
     GAP_PATH,
@@ -34,11 +34,11 @@ from gateway.recording.schema import (
     Header,
 )
 from replay.sessions import cycles, version_1
-from replay.sessions.cycles import Cycle, Integers, RecordedOutputs, Window
+from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window, made
 from replay.sessions.framing import Found, checksum, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
-__all__ = ["RecordedOutputs", "Session", "SessionError", "open_session"]
+__all__ = ["RecordedOutputs", "Session", "SessionError", "Stretch", "open_session"]
 
 _MARKS: Layout = {
     GAP_PATH: GAP_COLUMNS,
@@ -50,6 +50,7 @@ PROBLEMS_SHOWN = 3
 UNMARKED = "not in the recording"
 PRUNED = "deleted to make room"
 _DAMAGED = (KeyError, IndexError, OverflowError, TypeError, ValueError, pa.ArrowException)
+_NO_CYCLES: Integers = np.empty(0, np.int64)
 
 
 Rows = cycles.CycleRows | version_1.CycleRows
@@ -61,11 +62,12 @@ class _Version(NamedTuple):
     layout: Layout
     rows: Callable[[Tables], Rows]
     count: Callable[[Tables], int]
+    blocks: Callable[[Tables], Sequence[Packed]] | None  # None: there are none
 
 
 _VERSIONS = {
-    1: _Version(version_1.LAYOUT, version_1.CycleRows, version_1.count),
-    SCHEMA_VERSION: _Version(cycles.LAYOUT, cycles.CycleRows, cycles.count),
+    1: _Version(version_1.LAYOUT, version_1.CycleRows, version_1.count, None),
+    SCHEMA_VERSION: _Version(cycles.LAYOUT, cycles.rows_of, cycles.count, cycles.blocks_of),
 }
 
 
@@ -91,6 +93,28 @@ class _Part(NamedTuple):
     problems: list[str]
     first_segment: int = 1
     seal: _Seal | None = None
+
+    def read(self, seen: Seen) -> "_Part":
+        """The same once more of its cycles were read."""
+        return self._replace(cycles=np.concatenate([self.cycles, seen.cycle]), markers=[*self.markers, *seen.damaged])
+
+
+class Stretch(NamedTuple):
+    """Cycles of a segment from one snapshot of the core to the next, unread: plain bytes, for another process.
+
+    First and last cycle: by what the segment says of its blocks. `snapshots`: those in front of its cycles and among
+    them, packed, by the cycle after which they were taken.
+    """
+
+    path: Path
+    first_cycle: int
+    last_cycle: int
+    blocks: Sequence[Packed]
+    snapshots: Mapping[int, bytes]
+
+    def snapshot(self, cycle: int) -> dict[str, Any] | None:
+        """The state of the core after this cycle, if it was recorded there."""
+        return _state(self.snapshots.get(cycle))
 
 
 class Session:
@@ -165,25 +189,43 @@ class Session:
         last = -1
         for path in self.segments:
             for window in self._load(path).windows():
-                for inputs, outputs in self._values(window, path):
-                    if inputs.cycle > last:
-                        last = inputs.cycle
-                        yield inputs, outputs
+                found = self._values(window, path)
+                if found and window.first_cycle <= last:
+                    found = [cycle for cycle in found if cycle[0].cycle > last]
+                yield from found
+                last = found[-1][0].cycle if found else last
 
     def snapshot(self, cycle: int) -> dict[str, Any] | None:
         """The state of the core after this cycle, if it was recorded there and that segment has been read."""
-        packed = self._snapshots.get(cycle)
-        if packed is None:
-            return None
-        try:
-            state: dict[str, Any] = msgspec.msgpack.decode(packed, type=dict)
-        except ValueError:
-            return None
-        return state
+        return _state(self._snapshots.get(cycle))
+
+    @property
+    def divisible(self) -> bool:
+        """Whether it can be had in stretches."""
+        return self._version.blocks is not None
+
+    def again(self) -> "Session":
+        """The same session, of which nothing was read yet."""
+        return Session(self.path, self.segments, self.header)
+
+    def stretches(self) -> Iterator[Stretch]:
+        """All of it to be read elsewhere; what was found there is given back with `settle`."""
+        if self._version.blocks is None:
+            return
+        for path in self.segments:
+            tables, self._parts[path] = self._opened(path)
+            for blocks in _stretches(self._version.blocks(tables), self._snapshots):
+                first, last = blocks[0].first_cycle, blocks[-1].first_cycle + blocks[-1].cycles - 1
+                near = {after: state for after, state in self._snapshots.items() if first - 1 <= after <= last}
+                yield Stretch(path, first, last, blocks, near)
+
+    def settle(self, stretch: Stretch, seen: Seen) -> None:
+        """What was found in a stretch."""
+        self._parts[stretch.path] = self._parts[stretch.path].read(seen)
 
     def _values(self, window: Window, path: Path) -> list[Cycle]:
         try:
-            return list(window.values())
+            return made(window)
         except _DAMAGED as error:
             self._parts[path].problems.append(f"it is damaged near cycle {window.first_cycle}: {error!r}")
             return []
@@ -209,21 +251,28 @@ class Session:
 
     def _load(self, path: Path) -> Rows:
         """Read a segment; what cannot be read of it is a problem of the session."""
-        nothing = self._version.rows({})
+        tables, part = self._opened(path)
         try:
-            found = read(path, self._layout)
-            rows, part = self._examined(path, found)
-        except SessionError as error:
-            rows, part = nothing, _Part(nothing.cycle, [], [str(error).removeprefix(f"{path}: ")])
-        except OSError as error:
-            rows, part = nothing, _Part(nothing.cycle, [], [f"it cannot be read: {error.strerror}"])
+            rows = self._version.rows(tables)
+            part = part.read(Seen(rows.cycle, rows.damaged))
         except _DAMAGED as error:
-            rows, part = nothing, _Part(nothing.cycle, [], [f"it cannot be read: {error}"])
+            rows, part = self._version.rows({}), _unread(f"it cannot be read: {error}")
         if path not in self._parts:
             self._parts[path] = part
         return rows
 
-    def _examined(self, path: Path, found: Found) -> tuple[Rows, _Part]:
+    def _opened(self, path: Path) -> tuple[Tables, _Part]:
+        """Everything of a segment but its cycles."""
+        try:
+            return self._examined(path, read(path, self._layout))
+        except SessionError as error:
+            return {}, _unread(str(error).removeprefix(f"{path}: "))
+        except OSError as error:
+            return {}, _unread(f"it cannot be read: {error.strerror}")
+        except _DAMAGED as error:
+            return {}, _unread(f"it cannot be read: {error}")
+
+    def _examined(self, path: Path, found: Found) -> tuple[Tables, _Part]:
         """Raises one of _DAMAGED, OSError, SessionError."""
         tables, intact = tables_of(found, self._layout)
         problems = [found.problem] if found.problem else []
@@ -238,14 +287,12 @@ class Session:
             problems.append(f"it is segment {header.segment} by its header")
         if self.header.sealed and not problems:
             problems += _seal_problems(path, seal, found)
-        rows = self._version.rows(tables)
         snapshots, whole = _snapshots(tables.get(SNAPSHOT_PATH))
         self._snapshots |= snapshots
         if not whole:
             problems.append("a snapshot of the core is not as it was written")
-        markers = [*_markers(tables.get(GAP_PATH)), *rows.damaged]
         first = max(header.first_segment if header else 1, seal.first_segment if seal else 1)
-        return rows, _Part(rows.cycle, markers, problems, first, seal)
+        return tables, _Part(_NO_CYCLES, _markers(tables.get(GAP_PATH)), problems, first, seal)
 
 
 def open_session(path: Path) -> Session:
@@ -260,6 +307,37 @@ def open_session(path: Path) -> Session:
     if not files:
         raise SessionError(f"{path}: not a session: there is no segment-*.rrd in it")
     raise problems[0] if problems else SessionError(f"{path}: not a session of DriveGate: it has no header")
+
+
+def packed(state: object) -> bytes:
+    """A snapshot of the core as the recorder packs it."""
+    return encode(state)
+
+
+def _state(packed_state: bytes | None) -> dict[str, Any] | None:
+    if packed_state is None:
+        return None
+    try:
+        state: dict[str, Any] = msgspec.msgpack.decode(packed_state, type=dict)
+    except ValueError:
+        return None
+    return state
+
+
+def _unread(problem: str) -> _Part:
+    return _Part(_NO_CYCLES, [], [problem])
+
+
+def _stretches(blocks: Iterable[Packed], snapshots: Collection[int]) -> Iterator[list[Packed]]:
+    """Blocks in groups, each but the first with a snapshot in front of it."""
+    group: list[Packed] = []
+    for block in blocks:
+        if group and block.first_cycle - 1 in snapshots:
+            yield group
+            group = []
+        group.append(block)
+    if group:
+        yield group
 
 
 def _headers(files: Sequence[Path]) -> tuple[list[Header], list[SessionError]]:

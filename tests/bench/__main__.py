@@ -1,31 +1,98 @@
-"""`python -m tests.bench [--json]`: every figure that an issue names, measured side by side in one run."""
+"""`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
+
+NAME: only these parts (cycle, verify, sessions, live, recorder, laws). Peers are measured side by side with what they
+stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with two numbers are for
+the compiled core and for pure Python: the first line says which it is.
+"""
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
 
-from tests.bench import cycle, laws, recorder, sessions, verify
+from gateway.build import COMPILED, FORM
+from tests.bench import cycle, laws, live, recorder, sessions, verify
+from tests.laws import ALL_LAWS
+from tests.world import NAMES
 
-BENCHES: tuple[tuple[str, Callable[[], dict[str, float]]], ...] = (
-    ("one cycle of the core, 4 motors, 8 received frames (aim: at most 0.5 of a frame on the wire)", cycle.measure),
-    ("replay verify at 1 kHz, in multiples of real time (aim: at least 20)", verify.measure),
-    ("sessions beside BLF and candump of the same frames, bytes and us per cycle", sessions.measure),
-    ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
-    ("laws of motion over random drives (aim: no violation; `python -m tests.bench.laws` drives more)", laws.measure),
-)
+PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
+    "cycle": ("one cycle of the core, 4 motors, 8 received frames", cycle.measure),
+    "verify": ("replay verify at 1 kHz, in multiples of real time", verify.measure),
+    "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
+    "live": ("the service at 1 kHz, the simulated robot in a process of its own, us", live.measure),
+    "recorder": ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
+    "laws": ("laws of motion over random drives (`python -m tests.bench.laws` drives more)", laws.measure),
+}
+
+
+class Aim(NamedTuple):
+    """`peer`: the figure beside which it stands. `most`, `least`: what is aimed at."""
+
+    peer: str | None = None
+    most: float | None = None
+    least: float | None = None
+
+    def met(self, value: float) -> bool | None:
+        """None: there is no number to meet."""
+        if self.most is None and self.least is None:
+            return None
+        return (self.most is None or value <= self.most) and (self.least is None or value >= self.least)
+
+
+def _verify_aims() -> Iterator[tuple[str, Aim]]:
+    for name, least in zip(NAMES, (80.0, 60.0), strict=True):
+        yield f"verify_realtime_ratio_{name}", Aim(least=least if COMPILED else None)
+        yield f"verify_gain_two_processes_{name}", Aim(f"counting_gain_two_processes_{name}", least=1.8)
+
+
+def _session_aims() -> Iterator[tuple[str, Aim]]:
+    for name in NAMES:
+        for rate, most_bytes, most_us in (("250hz", 300.0, None), ("1000hz", 250.0, 4.0)):
+            yield f"session_bytes_{name}_{rate}", Aim(f"mcap_zstd_bytes_{name}_{rate}", most=most_bytes)
+            yield f"session_read_us_{name}_{rate}", Aim(f"blf_read_us_{name}_{rate}", most=most_us)
+
+
+AIMS: Mapping[str, Aim] = {
+    "cycle_per_wire_frame": Aim(most=0.10 if COMPILED else 0.35),
+    **dict(_verify_aims()),
+    **dict(_session_aims()),
+    "loop_late_p50_us": Aim("empty_loop_late_p50_us"),
+    "loop_late_p99_us": Aim("empty_loop_late_p99_us"),
+    "loop_late_p999_us": Aim("empty_loop_late_p999_us"),
+    "put_to_thread_p50_us": Aim("bare_zenoh_thread_p50_us"),
+    "put_to_thread_p99_us": Aim("bare_zenoh_thread_p99_us"),
+    "put_to_can_p50_us": Aim("bare_zenoh_and_half_period_us"),
+    **{f"violations_{law.replace(' ', '_')}": Aim(most=0.0) for law in ALL_LAWS},
+}
+
+
+def _line(name: str, figures: Mapping[str, float]) -> str:
+    aim, value = AIMS.get(name, Aim()), figures[name]
+    peer = "" if aim.peer is None else f"{figures[aim.peer]:10.4g} {aim.peer}"
+    bound = f"<= {aim.most:g}" if aim.most is not None else f">= {aim.least:g}" if aim.least is not None else ""
+    verdict = {None: "", True: "met", False: "MISSED"}[aim.met(value)]
+    return f"  {name:44} {value:10.4g}  {bound:8} {verdict:6}  {peer}".rstrip()
 
 
 def main() -> None:
+    as_json = "--json" in sys.argv
+    wanted = [argument for argument in sys.argv[1:] if argument in PARTS] or list(PARTS)
     figures: dict[str, float] = {}
-    for title, measure in BENCHES:
+    if not as_json:
+        print(f"{FORM}; figure, aim, peer")
+    for title, measure in map(PARTS.__getitem__, wanted):
         found = measure()
         figures |= found
-        if "--json" not in sys.argv:
-            print(title)
-            for name, value in found.items():
-                print(f"  {name:40} {value:12.4g}")
-    if "--json" in sys.argv:
-        print(json.dumps(figures))
+        if not as_json:
+            print(title, *(_line(name, figures) for name in found), sep="\n", flush=True)
+    if as_json:
+        shown = {name: AIMS.get(name, Aim()) for name in figures}
+        told = {
+            name: {"value": figures[name], "peer": aim.peer, "most": aim.most, "least": aim.least}
+            | {"met": aim.met(figures[name])}
+            for name, aim in shown.items()
+        }
+        print(json.dumps({"core": FORM, "figures": told}))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,21 @@
-"""Sessions of real drives beside the CAN logs of the same frames: bytes on the disk, and how fast a session is read."""
+"""Sessions of drives beside the CAN logs of the same frames: bytes on the disk, and the processor's time for reading.
+
+A log holds the frames with their times and nothing else; the session what replays them, and pictures. MCAP is written
+as recorders of robots write it: a message of 16 bytes (as the kernel's `struct can_frame`) for each frame, a channel
+for each bus and direction, chunks of its default size.
+"""
 
 import gc
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from struct import Struct
 
 import can
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from drivers.contract import CanFrame
 from gateway.core.engine import Engine
@@ -20,8 +29,10 @@ RATES = (250.0, 1000.0)
 COURSE = (Twist(0.5, 0.0, 0.0), Twist(0.0, 0.4, 0.0), Twist(0.0, 0.0, 0.8), Twist(0.3, 0.2, 0.3))
 LEG_S = 4.0
 REPEATS = 7
-SNAPSHOT_SECONDS = 5  # as the service takes them; a batch is a second
+LOG_REPEATS = 2  # their readers take their time
+SNAPSHOT_SECONDS = 5
 MICRO = 1e6
+_FRAME = Struct("<IB3x8s")  # id with its flags, length, data
 
 
 def measure() -> dict[str, float]:
@@ -34,13 +45,14 @@ def measure() -> dict[str, float]:
             for twist in COURSE:
                 world.run(LEG_S, twist)
             with tempfile.TemporaryDirectory() as folder:
-                found = _measured(world, round(rate), Path(folder))
+                found = _measured(world, Path(folder))
             figures |= {f"{key}_{name}_{rate:.0f}hz": value for key, value in found.items()}
     return figures
 
 
-def _measured(world: World, batch: int, folder: Path) -> dict[str, float]:
-    records = [_record(number, inputs, outputs) for number, (inputs, outputs) in enumerate(world.records)]
+def recorded(world: World, folder: Path) -> Path:
+    """The session of a drive as the service records it: a block every second, a snapshot every five."""
+    records, batch = _records(world), round(1e9 / world.period_ns)
     session = world_writer(folder, world)
     engine, snapshot = Engine(world.config), None
     for number, start in enumerate(range(0, len(records), batch), start=1):
@@ -50,19 +62,33 @@ def _measured(world: World, batch: int, folder: Path) -> dict[str, float]:
             engine.step(record.inputs)
         snapshot = None if number % SNAPSHOT_SECONDS else Snapshot.of(some[-1].inputs.cycle, engine.snapshot())
     session.close()
+    return session.folder
+
+
+def _records(world: World) -> list[Record]:
+    return [_record(number, inputs, outputs) for number, (inputs, outputs) in enumerate(world.records)]
+
+
+def _measured(world: World, folder: Path) -> dict[str, float]:
+    session, records = recorded(world, folder), _records(world)
     frames = [(record.inputs.now_ns, frame) for record in records for frame in _frames(record)]
-    sizes = {
-        "session_bytes": sum(path.stat().st_size for path in session.folder.iterdir()),
-        "blf_bytes": _logged(frames, folder / "drive.blf"),
-        "candump_bytes": _logged(frames, folder / "drive.log"),
+    logs: dict[str, tuple[Path, Callable[[Path], Iterable[object]]]] = {
+        "blf": (_logged(frames, folder / "drive.blf"), can.BLFReader),
+        "candump": (_logged(frames, folder / "drive.log"), can.CanutilsLogReader),
+        "mcap_lz4": (_mcap(frames, folder / "lz4.mcap", CompressionType.LZ4), _mcap_messages),
+        "mcap_zstd": (_mcap(frames, folder / "zstd.mcap", CompressionType.ZSTD), _mcap_messages),
     }
     gc.freeze()  # the drive in memory is no work of the reader
-    times = [_read_time(session.folder) for _ in range(REPEATS)]
+    times = {"session": [_spent(lambda: open_session(session).cycles()) for _ in range(REPEATS)]}
+    for name, (path, reader) in logs.items():
+        times[name] = [_spent(partial(reader, path)) for _ in range(LOG_REPEATS)]
     gc.unfreeze()
+    sizes = {name: path.stat().st_size for name, (path, _) in logs.items()}
+    sizes["session"] = sum(path.stat().st_size for path in session.iterdir())
     return {
-        **{name: size / len(records) for name, size in sizes.items()},
         "frames": len(frames) / len(records),
-        "session_read_us": min(times) / len(records) * MICRO,
+        **{f"{name}_bytes": sizes[name] / len(records) for name in times},
+        **{f"{name}_read_us": min(spent) / len(records) * MICRO for name, spent in times.items()},
     }
 
 
@@ -76,7 +102,7 @@ def _frames(record: Record) -> Sequence[CanFrame]:
     return (*record.inputs.frames, *record.outputs.frames)
 
 
-def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> int:
+def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> Path:
     with can.Logger(str(path)) as log:
         for now_ns, frame in frames:
             log.on_message_received(
@@ -90,11 +116,34 @@ def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> int:
                     is_rx=frame.received_ns is not None,
                 )
             )
-    return path.stat().st_size
+    return path
 
 
-def _read_time(folder: Path) -> float:
+def _mcap(frames: Sequence[tuple[int, CanFrame]], path: Path, compression: CompressionType) -> Path:
+    with path.open("wb") as file:
+        log = Writer(file, compression=compression)
+        log.start()
+        schema = log.register_schema("can_frame", "", b"")
+        channels: dict[str, int] = {}
+        for now_ns, frame in frames:
+            topic = f"{frame.bus}/{'tx' if frame.received_ns is None else 'rx'}"
+            if topic not in channels:
+                channels[topic] = log.register_channel(topic, "application/octet-stream", schema)
+            at_ns = STARTED_NS + (frame.received_ns or now_ns)
+            data = _FRAME.pack(frame.id | frame.extended << 31 | frame.remote << 30, len(frame.data), frame.data)
+            log.add_message(channels[topic], log_time=at_ns, publish_time=at_ns, data=data)
+        log.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def _mcap_messages(path: Path) -> Iterator[object]:
+    with path.open("rb") as file:
+        yield from make_reader(file).iter_messages()
+
+
+def _spent(items: Callable[[], Iterable[object]]) -> float:
+    """The processor's time for going through them."""
     started = time.process_time()
-    for _ in open_session(folder).cycles():
+    for _ in items():
         pass
     return time.process_time() - started

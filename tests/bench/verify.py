@@ -1,18 +1,28 @@
-"""Speed of `replay verify` at 1 kHz, reading the session from disk included, as a multiple of real time."""
+"""Speed of `replay verify` at 1 kHz, reading the session from disk included, as a multiple of real time.
+
+Alone, and side by side in two processes; beside that what two processes that only count gain on this machine now.
+"""
 
 import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from gateway.types import Twist
+from replay.compare.side_by_side import processes
 from replay.compare.verify import verify
 from replay.sessions.reader import open_session
-from tests.recordings import write_drive
+from tests.bench.sessions import recorded
 from tests.world import NAMES, World
 
 RATE_HZ = 1000.0
 COURSE = (Twist(0.5, 0.0, 0.0), Twist(0.0, 0.4, 0.0), Twist(0.0, 0.0, 0.8), Twist(0.3, 0.2, 0.3))
 LEG_S = 4.0
 REPEATS = 3
+ROUNDS = 3  # of the course, for two processes: some seconds of work
+START_S = 2.0
+COUNTS = 10_000_000
 
 
 def measure() -> dict[str, float]:
@@ -21,11 +31,44 @@ def measure() -> dict[str, float]:
     for name in NAMES:
         world = World(name, rate_hz=RATE_HZ)
         world.start()
-        for twist in COURSE:
+        for twist in COURSE * ROUNDS:
             world.run(LEG_S, twist)
         with tempfile.TemporaryDirectory() as directory:
-            folder = write_drive(Path(directory), world)
-            verdicts = [verify(open_session(folder)) for _ in range(REPEATS)]
-            assert all(verdict.identical for verdict in verdicts)
-            figures[f"verify_realtime_ratio_{name}"] = max(verdict.realtime_ratio for verdict in verdicts)
+            folder = recorded(world, Path(directory))
+            figures |= {f"{key}_{name}": value for key, value in _measured(folder).items()}
     return figures
+
+
+def _measured(folder: Path) -> dict[str, float]:
+    """In turn, so that whatever else the machine does meets all of them."""
+    alone, together, counted = [], [], []
+    with processes(2) as pool:
+        list(pool.map(time.sleep, [START_S, START_S]))  # both have started
+        for _ in range(REPEATS):
+            verdicts = verify(open_session(folder)), verify(open_session(folder), pool=pool)
+            assert verdicts[0]._replace(realtime_ratio=0.0) == verdicts[1]._replace(realtime_ratio=0.0)
+            assert verdicts[0].identical
+            alone.append(verdicts[0].realtime_ratio)
+            together.append(verdicts[1].realtime_ratio)
+            counted.append(_gain(pool))
+    return {
+        "verify_realtime_ratio": max(alone),
+        "verify_realtime_ratio_two_processes": max(together),
+        "verify_gain_two_processes": max(two / one for one, two in zip(alone, together, strict=True)),
+        "counting_gain_two_processes": max(counted),
+    }
+
+
+def _gain(pool: ProcessPoolExecutor) -> float:
+    alone = _seconds(lambda: list(pool.map(_count, [COUNTS])))
+    return 2.0 * alone / _seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS])))
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+def _count(number: int) -> int:
+    return sum(1 for _ in range(number))
