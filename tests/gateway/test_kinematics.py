@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.config import load
-from gateway.kinematics import KINEMATICS
 from gateway.kinematics.contract import GeometryError, Kinematics, desaturate
+from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
-from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Twist
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
@@ -23,14 +23,14 @@ angles = st.floats(-10.0, 10.0)
 
 def kinematics(name: str) -> Kinematics:
     robot = load(ROBOTS / f"{name}.toml")[0].robot
-    return KINEMATICS[robot.kind](robot)
+    return robot.kinematics()
 
 
-def ring(*degrees: float, distance: float = 0.3, radius: float = 0.05) -> OmniKinematics:
+def ring(*degrees: float, distance: float = 0.3, radius: float = 0.05) -> FixedWheels:
     poses = [
         WheelPose(distance * cos(a), distance * sin(a), a, radius) for a in (degree * pi / 180.0 for degree in degrees)
     ]
-    return OmniKinematics(poses)
+    return omni_kinematics(poses)
 
 
 # Four wheels at 45, 135, 225, 315 degrees, 0.3 m out, radius 0.05 m: drive directions are the axles turned by 90
@@ -91,7 +91,7 @@ def test_omni_rows_are_the_velocity_of_the_contact_point(contact: list[float], r
     moved = np.array([cos(step) * x - sin(step) * y, sin(step) * x + cos(step) * y])
     drive = np.array([cos(axis + pi / 2), sin(axis + pi / 2)])
     turning = float(drive @ (moved - [x, y])) / step / radius
-    row = [OmniKinematics(wheels).wheel_speeds(twist)[0] for twist in (Twist(1, 0, 0), Twist(0, 1, 0), Twist(0, 0, 1))]
+    row = [omni_kinematics(wheels).wheel_speeds(twist)[0] for twist in (Twist(1, 0, 0), Twist(0, 1, 0), Twist(0, 0, 1))]
     assert row == pytest.approx([drive[0] / radius, drive[1] / radius, turning], abs=1e-4 + 1e-5 * abs(theta))
 
 

@@ -1,18 +1,17 @@
-"""n omni wheels at arbitrary poses (Rojas 2005, sections 3-4 and 9, generalised to any wheel position and radius).
+"""Wheels whose geometry no joint angle changes: everything from one row per wheel.
 
 How this works
 --------------
-A wheel at p with its axle at angle a drives along d = (-sin a, cos a). Its rim speed is d . (v + w x p), one row of
-the rim matrix D. Everything else is computed from D: wheel speeds are D v / r, the body twist is the pseudo-inverse
-D+ applied to rim speeds, and what D cannot explain, (I - D D+) m, is slip. No matrix is typed in: the printed
-pseudo-inverse of the paper is wrong.
+A row of the rim matrix D is the rim speed of one wheel per m/s, m/s and rad/s of the body. Wheel speeds are D v / r,
+the body twist is the pseudo-inverse D+ applied to rim speeds, and what D cannot explain, (I - D D+) m, is slip (Rojas
+2005, sections 3-4 and 9).
 """
 
 from collections.abc import Sequence
 from math import sqrt
 from typing import NamedTuple, cast
 
-from gateway.arithmetic import dot, sin_cos
+from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo_inverse, transpose
 from gateway.kinematics.reach import ReachTable
@@ -20,15 +19,6 @@ from gateway.types import Twist
 
 _AXES = 3
 _INVERSE_TOLERANCE = 1e-9
-
-
-class WheelPose(NamedTuple):
-    """Contact point (m), axle angle counter-clockwise from forward (rad), rolling radius (m)."""
-
-    x: float
-    y: float
-    axis_angle: float
-    radius: float
 
 
 class _Solution(NamedTuple):
@@ -42,18 +32,21 @@ class _Solution(NamedTuple):
     checks: Matrix
 
 
-class OmniKinematics:
-    """Kinematics of n omni wheels. Raises GeometryError unless the wheels have three distinct directions."""
+class FixedWheels:
+    """Kinematics of n fixed wheels. Raises GeometryError unless they have three distinct directions.
+
+    `rim_rows`: one for each wheel; `radii`: of the wheels, m.
+    """
 
     steered: tuple[int, ...] = ()
 
-    def __init__(self, wheels: Sequence[WheelPose]) -> None:
-        self.rim_matrix: Matrix = tuple(_rim_row(wheel) for wheel in wheels)
+    def __init__(self, rim_rows: Sequence[tuple[float, float, float]], radii: Sequence[float]) -> None:
+        self.rim_matrix: Matrix = tuple(rim_rows)
         self.rim_pinv = _inverse(self.rim_matrix)
         self._reach = ReachTable(self.rim_matrix)
-        self._radii = tuple(wheel.radius for wheel in wheels)
+        self._radii = tuple(radii)
         self._rows = tuple((a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix, self._radii, strict=True))
-        self._all = (True,) * len(wheels)
+        self._all = (True,) * len(self._radii)
         self._solutions: dict[tuple[bool, ...], _Solution | None] = {self._all: self._solve(self._all)}
 
     def wheel_speeds(self, twist: Twist, positions: Sequence[float | None] = ()) -> list[float]:
@@ -108,11 +101,6 @@ class OmniKinematics:
         radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
         x, y, z = _scaled(inverse, radii)
         return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(kernel(transpose(rows)), radii))
-
-
-def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
-    sine, cosine = sin_cos(wheel.axis_angle)
-    return -sine, cosine, cosine * wheel.x + sine * wheel.y
 
 
 def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
