@@ -59,10 +59,9 @@ def _omni_odometry(given: Vector) -> dict[str, Any]:
     kinematics = _omni(given)
     estimate = kinematics.twist(given["m"])
     assert estimate is not None
-    residual = _projector(kinematics) @ np.array(given["m"])
     return {
         "v": _TO_PAPER @ np.array(estimate.twist),
-        "residual": residual,
+        "residual": estimate.residuals or (0.0,) * len(given["m"]),
         "residual_norm": estimate.residual if estimate.residual is not None else 0.0,
         "projected": kinematics.wheel_speeds(estimate.twist),
     }
@@ -73,7 +72,9 @@ def _slip_scalar(given: Vector) -> dict[str, Any]:
     phi = pi / 6.0
     kinematics = _omni({"thetas": [phi, pi - phi, pi + phi, -phi]})
     measured = np.array(given["m"])
-    residual = _projector(kinematics) @ measured
+    estimate = kinematics.twist(given["m"])
+    assert estimate is not None
+    residual = np.array(estimate.residuals, np.float64)
     return {"s": 4.0 * residual[0], "projected": measured - residual}
 
 

@@ -123,7 +123,7 @@ class Engine:
         target = self._target(selection)
         motion = self._limit(target, measured, health)
         frames = self._command(motion, measured, health)
-        twist, residual = measured.estimate if measured.estimate else (None, None)
+        twist, residual, residuals = measured.estimate or (None, None, None)
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
         reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
         events = self._reporter.events(
@@ -154,6 +154,7 @@ class Engine:
                 measured.positions,
                 _seconds(selection.age_ns),
                 residual,
+                residuals,
             ),
             self._shutdown and not self._energised,
         )

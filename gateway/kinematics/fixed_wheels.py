@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 
 from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
-from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo_inverse, transpose
+from gateway.kinematics.linear import Matrix, Vector, condition, kernel, product, pseudo_inverse, transpose
 from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
@@ -25,11 +25,12 @@ class _Solution(NamedTuple):
     """What one set of measured wheels says, per wheel speed (rad/s).
 
     `shares`: what each wheel adds to the twist, a column of the pseudo-inverse. `checks`: rows that any rigid motion
-    takes to zero.
+    takes to zero, m/s. `parts`: for every wheel, what of each check falls to it; None where it is not measured.
     """
 
     shares: tuple[tuple[float, float, float], ...]
     checks: Matrix
+    parts: tuple[Vector | None, ...]
 
 
 class FixedWheels:
@@ -55,7 +56,7 @@ class FixedWheels:
         return [a * vx + b * vy + c * wz for a, b, c in self._rows]
 
     def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None] = ()) -> Estimate | None:
-        """Least-squares body twist of the measured wheels, with the norm of what it leaves unexplained."""
+        """Least-squares body twist of the measured wheels, with what it leaves unexplained, wheel by wheel."""
         if None in speeds:
             measured = tuple(speed is not None for speed in speeds)
             solution = self._solution(measured)
@@ -71,11 +72,12 @@ class FixedWheels:
             wz += z * speed
         if not solution.checks:
             return Estimate(Twist(vx, vy, wz), None)
-        square = 0.0
-        for check in solution.checks:
-            unexplained = dot(check, known)
-            square += unexplained * unexplained
-        return Estimate(Twist(vx, vy, wz), sqrt(square))
+        unexplained = [dot(check, known) for check in solution.checks]
+        return Estimate(
+            Twist(vx, vy, wz),
+            sqrt(dot(unexplained, unexplained)),
+            tuple([None if part is None else dot(part, unexplained) for part in solution.parts]),
+        )
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""
@@ -100,7 +102,10 @@ class FixedWheels:
             return None
         radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
         x, y, z = _scaled(inverse, radii)
-        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(kernel(transpose(rows)), radii))
+        basis = kernel(transpose(rows))  # its projector is I - D D+
+        of_known = iter(transpose(basis))
+        parts = tuple(next(of_known) if known and basis else None for known in measured)
+        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(basis, radii), parts)
 
 
 def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
