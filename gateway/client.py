@@ -20,7 +20,6 @@ from typing import Self, SupportsFloat, SupportsIndex, TypeVar
 
 import zenoh
 
-from gateway.config import NAME_PATTERN
 from gateway.edges import keys, messages
 from gateway.edges.messages import (
     AbilityMessage,
@@ -31,6 +30,7 @@ from gateway.edges.messages import (
     TruthMessage,
 )
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
+from gateway.sections import NAME_PATTERN
 from gateway.types import ZERO_TWIST, Mode, TwistFrame
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"

@@ -3,22 +3,14 @@
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
 
+from gateway.chassis import AnyRobot
+from gateway.sections import Limit, Name, NonNegative, Positive, Rate, Section
 from gateway.types import Twist
 
-NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"  # also safe as one chunk of a Zenoh key
-
-Name = Annotated[str, Field(pattern=NAME_PATTERN, description="lower case, digits, _ and -, at most 32 characters")]
-Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
-Length = Annotated[float, Field(ge=1e-3, le=10.0)]
-Angle = Annotated[float, Field(ge=-6.3, le=6.3, description="rad")]
-Rate = Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")]
-Limit = Annotated[float, Field(ge=1e-3, le=1e4, description="m or rad, per s, s^2 or s^3")]
-Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
-NonNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
 _File = TypeVar("_File", bound=BaseModel)
 
@@ -44,11 +36,7 @@ class ConfigError(ValueError):
         super().__init__("\n".join(f"{origin}: {problem}" for problem in self.problems))
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Axes(_Section):
+class Axes(Section):
     """One number per body axis: vx and vy in m, wz in rad (per s, s^2 or s^3)."""
 
     vx: Limit
@@ -60,76 +48,11 @@ class Axes(_Section):
         return Twist(self.vx, self.vy, self.wz)
 
 
-class Body(_Section):
-    """Mass properties of the whole robot, used by the simulated world (and by no control law yet)."""
-
-    mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
-    inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]
-    joint_friction: NonNegative = 0.0  # N m s/rad at every driven joint
-    joint_drag: NonNegative = 0.0  # N m of dry friction and rolling resistance at every driven joint
-    joint_inertia: NonNegative = 0.0  # kg m^2 of every driven joint, rotor included, at the output
-
-
-class OmniWheel(_Section):
-    """Pose of one omni wheel: contact point, angle of the axle (outward), rolling radius."""
-
-    motor: Name
-    x: Metres
-    y: Metres
-    axis_angle: Angle
-    radius: Length
-
-
-class OmniRobot(_Section):
-    """n omni wheels at arbitrary poses."""
-
-    GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
-
-    kind: Literal["omni"]
-    name: Name
-    body: Body
-    wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
-
-    def motor_names(self) -> tuple[str, ...]:
-        """Motors of the chassis in wheel order."""
-        return tuple(wheel.motor for wheel in self.wheel)
-
-
-class Caster(_Section):
-    """The passive caster: trail d3, joint distance d4 ahead of the pivot, wheel radius Rc."""
-
-    trail: Length
-    position: Length
-    radius: Length
-
-
-class OffsetDifferentialRobot(_Section):
-    """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
-
-    GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
-
-    kind: Literal["offset_differential"]
-    name: Name
-    body: Body
-    chassis_inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2, the chassis below the joint")]
-    wheel_radius: Length
-    axle_offset: Length  # d1 of the paper
-    track: Length  # d2
-    left: Name
-    right: Name
-    platform: Name
-    caster: Caster | None = None
-
-    def motor_names(self) -> tuple[str, ...]:
-        """Left wheel, right wheel, platform joint."""
-        return (self.left, self.right, self.platform)
-
-
-class Loop(_Section):
+class Loop(Section):
     rate: Annotated[float, Field(ge=10.0, le=1000.0, description="Hz")] = 250.0
 
 
-class Limits(_Section):
+class Limits(Section):
     """Limits of the body twist, and the top speed of each motor's output (after the gear), rad/s."""
 
     velocity: Axes
@@ -146,13 +69,13 @@ class Limits(_Section):
         }
 
 
-class Stop(_Section):
+class Stop(Section):
     """What an emergency stop ends in (IEC 60204-1): category 1 releases the motors at rest, 2 goes on holding them."""
 
     category: Literal[1, 2] = 1
 
 
-class Degraded(_Section):
+class Degraded(Section):
     """What a robot does when it has lost a motor, and with it some way to move; with every way left it drives on.
 
     `limp`: it drives what is left, at `speed` (share of limits.velocity); `stop`: it comes to rest, as a fault.
@@ -164,7 +87,7 @@ class Degraded(_Section):
     speed: Annotated[float, Field(ge=0.01, le=1.0)] = 0.3
 
 
-class Watchdog(_Section):
+class Watchdog(Section):
     """The controller's own command timeout."""
 
     timeout: float  # s; what the controller and the loop need is for the driver to say, with the reason
@@ -178,14 +101,14 @@ _MOVED_FROM_WATCHDOG = {
 }
 
 
-class SpeedLoop(_Section):
+class SpeedLoop(Section):
     """Host-side PI speed loop of a motor whose controller takes only torque; gains at the motor's output."""
 
     kp: Positive  # N m per rad/s
     ki: NonNegative  # N m per rad
 
 
-class Motor(_Section):
+class Motor(Section):
     name: Name
     driver: Annotated[str, Field(max_length=32)]
     variant: Annotated[str, Field(max_length=32)]
@@ -205,9 +128,7 @@ class Motor(_Section):
     watchdog: Watchdog | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
-    options: Annotated[
-        dict[Annotated[str, Field(max_length=64)], Option], Field(max_length=32)
-    ] = {}  # the driver's own
+    options: dict[Annotated[str, Field(max_length=64)], Option] = Field({}, max_length=32)  # the driver's own
 
     @model_validator(mode="before")
     @classmethod
@@ -231,14 +152,14 @@ class Motor(_Section):
         return self
 
 
-class Bus(_Section):
+class Bus(Section):
     name: Name
     interface: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,32}$", description="a python-can interface")]
     channel: Annotated[str, Field(min_length=1, max_length=64)]
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)]
 
 
-class Source(_Section):
+class Source(Section):
     """One commander: the highest priority that is not older than its timeout (s) drives."""
 
     name: Name
@@ -246,22 +167,22 @@ class Source(_Section):
     timeout: Annotated[float, Field(ge=0.02, le=2.0)]
 
 
-class Commands(_Section):
+class Commands(Section):
     source: Annotated[list[Source], Field(min_length=1, max_length=32)]
 
 
-class Zenoh(_Section):
+class Zenoh(Section):
     """Loopback only and no scouting unless said otherwise here."""
 
-    listen: list[Annotated[str, Field(max_length=128)]] = ["tcp/127.0.0.1:7447"]
-    connect: list[Annotated[str, Field(max_length=128)]] = []
+    listen: list[Annotated[str, Field(max_length=128)]] = Field(default=["tcp/127.0.0.1:7447"])
+    connect: list[Annotated[str, Field(max_length=128)]] = Field(default=[])
     multicast_scouting: bool = False
     config_file: Annotated[str, Field(max_length=256)] | None = None  # JSON5 of Zenoh itself: TLS, access control
     odometry_rate: Rate = 50.0
     state_rate: Rate = 10.0
 
 
-class Recording(_Section):
+class Recording(Section):
     """Where sessions go and how much disk they may take; a relative directory is relative to the working one.
 
     disk_budget: all sessions of this robot together, the running one included; a segment has at most half of it.
@@ -275,10 +196,10 @@ class Recording(_Section):
     min_free: Bytes = 500_000_000
 
 
-class RobotConfig(_Section):
+class RobotConfig(Section):
     """The whole robot file."""
 
-    robot: Annotated[OmniRobot | OffsetDifferentialRobot, Field(discriminator="kind")]
+    robot: Annotated[AnyRobot, Field(discriminator="kind")]
     loop: Loop = Loop()
     limits: Limits
     stop: Stop = Stop()

@@ -257,6 +257,7 @@ class Trace(NamedTuple):
     wheel_positions: tuple[float | None, ...]  # rad at the output
     winner_age_s: float | None
     residual: float | None
+    residuals: tuple[float | None, ...] | None  # m/s at the rim of each wheel; None where they carry no redundancy
 
 
 class Outputs(NamedTuple):

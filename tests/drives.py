@@ -111,6 +111,7 @@ def _trace(world: _World) -> Trace:
         wheel_positions=world.positions,
         winner_age_s=0.02 + 0.01 * sin(world.time),
         residual=abs(lag) * 0.05,
+        residuals=None,
     )
 
 

@@ -18,21 +18,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
+from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
-from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Twist
 
 Vector = Mapping[str, Any]
 _TO_PAPER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (vx, vy, R w) of the paper from ours
 
 
-def _omni(given: Vector) -> OmniKinematics:
+def _omni(given: Vector) -> FixedWheels:
     """Wheels of unit radius on a circle of unit radius: rim speeds are wheel speeds, R w is w."""
     angles = [theta - pi / 2.0 for theta in given["thetas"]]
-    return OmniKinematics([WheelPose(cos(angle), sin(angle), angle, 1.0) for angle in angles])
+    return omni_kinematics([WheelPose(cos(angle), sin(angle), angle, 1.0) for angle in angles])
 
 
-def _projector(kinematics: OmniKinematics) -> npt.NDArray[np.float64]:
+def _projector(kinematics: FixedWheels) -> npt.NDArray[np.float64]:
     """I - D D+: what of rim speeds no rigid motion explains."""
     rows = np.array(kinematics.rim_matrix)
     return np.asarray(np.eye(len(rows)) - rows @ np.array(kinematics.rim_pinv))
@@ -58,10 +59,9 @@ def _omni_odometry(given: Vector) -> dict[str, Any]:
     kinematics = _omni(given)
     estimate = kinematics.twist(given["m"])
     assert estimate is not None
-    residual = _projector(kinematics) @ np.array(given["m"])
     return {
         "v": _TO_PAPER @ np.array(estimate.twist),
-        "residual": residual,
+        "residual": estimate.residuals or (0.0,) * len(given["m"]),
         "residual_norm": estimate.residual if estimate.residual is not None else 0.0,
         "projected": kinematics.wheel_speeds(estimate.twist),
     }
@@ -72,7 +72,9 @@ def _slip_scalar(given: Vector) -> dict[str, Any]:
     phi = pi / 6.0
     kinematics = _omni({"thetas": [phi, pi - phi, pi + phi, -phi]})
     measured = np.array(given["m"])
-    residual = _projector(kinematics) @ measured
+    estimate = kinematics.twist(given["m"])
+    assert estimate is not None
+    residual = np.array(estimate.residuals, np.float64)
     return {"s": 4.0 * residual[0], "projected": measured - residual}
 
 

@@ -14,37 +14,45 @@ GROUND = (
     "gateway/arithmetic.py",
     "gateway/build.py",
     "gateway/types.py",
-    "gateway/config.py",
-    "gateway/robot_files.py",
+    "gateway/sections.py",
     "gateway/__init__.py",
 )
+ROBOT_FILE = ("gateway/config.py", "gateway/robot_files.py")
 
-# Each room and what it may import besides the standard library and its own folder. "ground" is types, config and
-# robot_files; "entrance" is service and client; a folder without an entry here is no room and fails.
+# Each room and what it may import besides the standard library and its own folder. "ground" is types and what robot
+# files are made of; "robot file" is config and robot_files; "entrance" is service and client; a folder without an entry
+# here is no room and fails.
 ROOMS: dict[str, set[str]] = {
     "drivers": {"drivers/odrive"},
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"ground"},
+    "gateway/chassis": {"ground", "gateway/kinematics"},
+    "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
-    "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/control"},
-    "gateway/edges": {"drivers", "ground", "gateway/core"},
-    "gateway/recording": {"drivers", "ground", "gateway/core", "gateway/edges"},
-    "entrance": {"drivers", "ground", "gateway/control", "gateway/core", "gateway/edges"},
+    "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/chassis", "robot file", "gateway/control"},
+    "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
+    "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
+    "entrance": {"drivers", "ground", "robot file", "gateway/control", "gateway/core", "gateway/edges"},
     "replay": set(),
     "replay/sim/controllers": {"drivers"},
-    "replay/sim/plants": {"ground", "replay/sim/controllers"},
-    "replay/sim": {"drivers", "ground", "gateway/edges", "replay/sim/controllers", "replay/sim/plants"},
+    "replay/sim/plants": {"ground", "gateway/chassis", "replay/sim/controllers"},
+    "replay/sim": {
+        *("drivers", "ground", "robot file", "gateway/edges", "replay/sim/controllers", "replay/sim/plants"),
+    },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
-    "replay/compare": {"drivers", "ground", "gateway/core", "replay/sessions"},
+    "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
     "replay/drive": {
-        *("drivers", "ground", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
+        *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants"),
     },
 }
 COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody but the entrance imports it
 
-PURE = ("drivers", "drivers/odrive", "ground", "gateway/kinematics", "gateway/control", "gateway/core")
+PURE = (
+    *("drivers", "drivers/odrive", "ground", "robot file"),
+    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core"),
+)
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
 IMPURE_FILES = {
@@ -54,7 +62,10 @@ IMPURE_FILES = {
 }
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
 RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
-PYDANTIC_FILES = {"gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"}
+PYDANTIC_FILES = {
+    *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
+    *("gateway/chassis/omni.py", "gateway/chassis/offset_differential.py"),  # their sections of the robot file
+}
 
 
 def sources() -> list[Path]:
@@ -78,6 +89,8 @@ def name(path: Path) -> str:
 def room(path: Path) -> str:
     if name(path) in GROUND:
         return "ground"
+    if name(path) in ROBOT_FILE:
+        return "robot file"
     folder = path.parent.relative_to(ROOT).as_posix()
     return "entrance" if folder == "gateway" else folder
 

@@ -37,6 +37,7 @@ def _document(report: Examination) -> dict[str, object]:
         **report._asdict(),
         "top_speeds": report.top_speeds._asdict(),
         "reachable": report.reachable._asdict(),
+        "loop_limits": [limit._asdict() for limit in report.loop_limits],
         "buses": [bus._asdict() for bus in report.buses],
     }
 
@@ -57,9 +58,8 @@ def _show(report: Examination) -> None:
         style = "yellow" if bus.load > LOAD_WARNING else "green"
         text = f"[{style}]{bus.load:.1%}[/] worst case at {report.rate_hz:g} Hz, {bus.frames_per_second:.0f} frames/s"
         table.add_row(f"load of {bus.bus}", text)
-    if report.compensation_period_limit_s is not None:
-        rate = 1.0 / report.compensation_period_limit_s
-        table.add_row("compensation", f"stable at top speed above {rate:.1f} Hz")
+    for name, period in report.loop_limits:
+        table.add_row(name, f"stable at top speed above {1.0 / period:.1f} Hz")
     console.print(table)
     for warning in report.warnings:
         console.print(f"[yellow]warning[/] {warning}", highlight=False)

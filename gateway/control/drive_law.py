@@ -56,10 +56,25 @@ class Motion(NamedTuple):
 
 
 class DriveLaw(Protocol):
-    """How one kind of chassis moves as the setpoint says. State owner; called once per cycle."""
+    """How one kind of chassis moves as the setpoint says, and what stop and rest are for it. State owner.
+
+    In each cycle one of `motion` and `stop` is called, once. What neither may command is decided elsewhere.
+    """
 
     def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
+        ...
+
+    def stop(self, measured: Measured) -> Motion:
+        """Commands of an emergency stop: the shortest way to rest, and rest. The setpoint is zero at once."""
+        ...
+
+    def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
+        """Whether it moves more than it does at rest; None: not known. `turning`: whether any measured wheel turns."""
+        ...
+
+    def may_release(self, measured: Measured) -> bool:
+        """Whether a robot at rest may be let go: not one that would fall. Asked in every mode, shutdown included."""
         ...
 
 
@@ -75,6 +90,7 @@ class SpeedLaw:
         self._top_speeds = tuple(top_speeds)
         self._velocity = velocity  # limits of the body
         self._period = period  # s
+        self._brakes = Motion((BRAKE,) * len(self._top_speeds))
         self._blind = False
         self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
 
@@ -92,6 +108,19 @@ class SpeedLaw:
             speeds, limits = [speed * share for speed in speeds], ("motor_speed",)
         self._ramp = excess(setpoint, self._velocity), speeds
         return Motion(_velocities(speeds), share, limits)
+
+    def stop(self, measured: Measured) -> Motion:
+        """Every joint braked."""
+        self._blind = False
+        return self._brakes
+
+    def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
+        """It stands when its wheels do."""
+        return turning
+
+    def may_release(self, measured: Measured) -> bool:
+        """It stands by itself."""
+        return True
 
     def _angles_ahead(self, measured: Measured) -> Sequence[float | None]:
         """Angles of the steered joints as they will be when the motors turn as commanded: a period from now."""

@@ -18,7 +18,6 @@ from gateway.control.limits import excess, scale_to
 from gateway.core.assembly import Robot
 from gateway.core.health import Health
 from gateway.kinematics.contract import desaturate
-from gateway.kinematics.inertia import INERTIA
 from gateway.kinematics.linear import Matrix, Vector
 from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
 from gateway.types import AbilityStatus, Twist
@@ -55,7 +54,7 @@ class Abilities:
     def __init__(self, config: RobotConfig, robot: Robot) -> None:
         motors = config.motors_in_order()
         self._kinematics = robot.kinematics
-        self._inertia = INERTIA[config.robot.kind](config.robot)
+        self._chassis = config.robot
         self._torques = tuple(limits.torque for limits in robot.limits)
         self._speeds = tuple(limits.speed for limits in robot.limits)
         self._velocity = config.limits.velocity.as_twist()
@@ -95,7 +94,7 @@ class Abilities:
     def _limping(self, usable: Sequence[bool], angles: Sequence[float]) -> Ability | None:
         rows = self._kinematics.matrix(angles)
         uses = [JointUse.USABLE if ok else lost for ok, lost in zip(usable, self._lost_use, strict=True)]
-        found = reachable(rows, uses, self._inertia(angles))
+        found = reachable(rows, uses, self._chassis.inertia(angles))
         share = effort(rows, uses, self._torques, found.basis)
         return Ability(found, share, self._policy.speed, rows) if share > 0.0 else None
 

@@ -11,7 +11,6 @@ from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
-from gateway.kinematics import KINEMATICS
 from gateway.kinematics.contract import GeometryError, Kinematics
 
 
@@ -41,7 +40,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range."""
     motors = config.motors_in_order()
     try:
-        kinematics = KINEMATICS[config.robot.kind](config.robot)
+        kinematics = config.robot.kinematics()
     except GeometryError as error:
         raise ConfigError(origin, [f"robot: {error}"]) from None
     groups = _groups(config, motors, origin)

@@ -52,6 +52,7 @@ CHANNELS: Final = (
     Channel("twist/measured", _of_axes("measured"), "m/s, rad/s", VELOCITY, lambda trace: trace.measured),
     Channel("pose", ("x", "y", "theta"), "m, rad", "Pose [m, rad]", lambda trace: trace.pose),
     Channel("residual", ("residual",), "m/s", "Slip residual [m/s]", lambda trace: (trace.residual,)),
+    Channel("residual", ("residual.",), "m/s", "Slip residual [m/s]", lambda trace: trace.residuals),
     Channel("command_age", ("command_age",), "s", "Command age [s]", lambda trace: (trace.winner_age_s,)),
 )
 POSITIONS: Final = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)

@@ -19,7 +19,7 @@ from typing import Final
 from drivers.contract import CanFrame, MotorState
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
-from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
+from gateway.control.drive_law import COAST, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
@@ -133,7 +133,7 @@ class Engine:
         target = self._target(selection)
         motion = self._limit(target, measured, health)
         frames = self._command(motion, measured, health)
-        twist, residual = measured.estimate if measured.estimate else (None, None)
+        twist, residual, residuals = measured.estimate or (None, None, None)
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
         reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
         events = self._reporter.events(
@@ -164,6 +164,7 @@ class Engine:
                 measured.positions,
                 _seconds(selection.age_ns),
                 residual,
+                residuals,
             ),
             self._shutdown and not self._energised,
         )
@@ -214,7 +215,8 @@ class Engine:
         estimate = self._kinematics.twist(speeds, trusted)
         residual = estimate.residual if estimate else None
         measurable = estimate is not None or None not in speeds
-        self._standstill.measure(turning=self._motors.turning(measured), measurable=measurable, now_ns=now_ns)
+        moves = self._law.moves(measured, turning=self._motors.turning(measured))
+        self._standstill.measure(turning=moves, measurable=measurable, now_ns=now_ns)
         self._odometry.update(deltas, trusted, residual=residual, dt=dt)
         self._slip.look(residual, dt)
         return measured._replace(angles=tuple(trusted), estimate=estimate, slipping=self._slip.slipping)
@@ -295,6 +297,8 @@ class Engine:
             return f"{command.source} commands motion; commands must be zero"
         for index, why in self._trust.unknown.items():
             return f"{self._names[index]}: {UNKNOWN} ({why}): reference it first"
+        if self._energised and not self._law.may_release(self._measured):
+            return "a reset would release the motors, and the robot would fall: support it first"
         return self._refusal_while_moving()
 
     def _refusal_while_moving(self) -> str | None:
@@ -356,7 +360,7 @@ class Engine:
 
     def _rested(self, now_ns: int) -> bool:
         if self._energised:
-            return self._standstill.rested(now_ns)
+            return self._standstill.rested(now_ns) and self._law.may_release(self._measured)
         return self._standstill.standing is not False  # released, but perhaps too early: not all wheels were heard
 
     def _latch_unarmed(self, unarmed: Sequence[int]) -> None:
@@ -410,6 +414,8 @@ class Engine:
             self._brake(measured, health)
         else:
             self._limiter.reset()
+        if self._mode is Mode.ESTOP:
+            return self._law.stop(measured)._replace(limits=limits)
         motion = self._law.motion(self._limiter.setpoint, measured, braking=braking)
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
@@ -461,13 +467,8 @@ class Engine:
         may = [self._energised and ok for ok in self._may_be_commanded(health)]
         if self._mode in HOLDING or (self._mode is Mode.FAULT and self._energised):
             self._health.lose([index for index, ok in enumerate(may) if not ok])
-        return self._motors.command(self._told(motion, may), measured)
-
-    def _told(self, motion: Motion, may: Sequence[bool]) -> list[JointCommand]:
-        """What the law says where that may be commanded; an emergency stop brakes whatever the law says."""
-        if self._mode is Mode.ESTOP:
-            return [BRAKE if ok else COAST for ok in may]
-        return [command if ok else COAST for command, ok in zip(motion.commands, may, strict=True)]
+        told = [command if ok else COAST for command, ok in zip(motion.commands, may, strict=True)]
+        return self._motors.command(told, measured)
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
         if self._mode is Mode.ESTOP:
@@ -479,7 +480,7 @@ class Engine:
         return health.obeying if self._mode in BRAKING else health.usable
 
     def _hold_or_release(self, now_ns: int) -> None:
-        """At rest the motors are released, unless the stop category or a slope asks for more; what rolls is braked."""
+        """At rest the motors are released, unless stop category, slope or chassis ask for more; rolling is braked."""
         if self._mode in HOLDING:
             return
         if self._mode is Mode.ESTOP and not self._energised and self._standstill.rolls(now_ns):

@@ -5,7 +5,8 @@ from math import fsum, pi, sqrt
 from typing import Final, NamedTuple
 
 from drivers.contract import Traffic
-from gateway.config import ConfigError, OffsetDifferentialRobot, RobotConfig
+from gateway.chassis.contract import LoopLimit
+from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build
 from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
@@ -14,8 +15,6 @@ from gateway.types import Twist
 LOAD_WARNING: Final = 0.70
 LOAD_REFUSAL: Final = 0.95
 STOPPING_REFUSAL_S: Final = 5.0  # a robot that needs longer from top speed is not under control; source: ours
-# ln(1 + 2/(k - 1)) of the pull-region compensation with k = 2: mirror-image decay (preprints202312.1327, Eq. 23)
-_COMPENSATION: Final = 1.0986122886681098
 _UNIT: Final = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
 _SIGNS: Final = tuple(itertools.product((-1.0, 1.0), repeat=3))
 # Of a speed error, that a speed loop may take back in one cycle: beyond 2 the error grows from cycle to cycle, up to 1
@@ -49,7 +48,7 @@ class Examination(NamedTuple):
     turning_share: float  # of all top speeds at once that can be driven: the rest would turn too fast for its speed
     torque_share: float  # of its torque that the most strained motor gives at the acceleration limits, all axes at once
     buses: tuple[BusLoad, ...]
-    compensation_period_limit_s: float | None  # longest loop period at which compensation is stable at top speed
+    loop_limits: tuple[LoopLimit, ...]  # what is stable at top speed only with a loop that is fast enough
     warnings: tuple[str, ...]
 
 
@@ -82,7 +81,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
     if overloaded:
         raise ConfigError(origin, overloaded)
     strained, torque_share = _torque_share(config, robot)
-    period_limit = _compensation_limit(config, limit)
+    loop_limits = config.robot.loop_limits(max(limit.vx, limit.vy))
     return Examination(
         robot=config.robot.name,
         kind=config.robot.kind,
@@ -97,14 +96,14 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         turning_share=1.0 / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_twist()))),
         torque_share=torque_share,
         buses=buses,
-        compensation_period_limit_s=period_limit,
+        loop_limits=loop_limits,
         warnings=tuple(
             _warnings(
                 config=config,
                 buses=buses,
                 top=top,
                 limit=limit,
-                period_limit=period_limit,
+                loop_limits=loop_limits,
                 strain=(strained, torque_share),
             )
         ),
@@ -196,21 +195,13 @@ def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusL
     return BusLoad(bus, bitrate, bits / bitrate, fsum(item.rate_hz for item in traffic))
 
 
-def _compensation_limit(config: RobotConfig, limit: Twist) -> float | None:
-    """h < ln(1 + 2/(k - 1)) d1 / c: beyond it the sampled compensation oscillates (science 1.4, e^a < 3 for k = 2)."""
-    if not isinstance(config.robot, OffsetDifferentialRobot):
-        return None
-    speed = max(limit.vx, limit.vy)
-    return _COMPENSATION * config.robot.axle_offset / speed
-
-
 def _warnings(
     *,
     config: RobotConfig,
     buses: tuple[BusLoad, ...],
     top: Twist,
     limit: Twist,
-    period_limit: float | None,
+    loop_limits: tuple[LoopLimit, ...],
     strain: tuple[str, float],
 ) -> list[str]:
     found = [
@@ -227,8 +218,11 @@ def _warnings(
             f"limits.acceleration, all axes at once, asks {share:.0%} of the torque of motor {name}: "
             "such twists are held back as far as the motors follow"
         )
-    if period_limit is not None and 1.0 / config.loop.rate > period_limit:
-        found.append(f"loop.rate = {config.loop.rate:g} Hz is too slow for compensation: {1 / period_limit:.1f} Hz")
+    found += [
+        f"loop.rate = {config.loop.rate:g} Hz is too slow for {name}: {1 / period:.1f} Hz"
+        for name, period in loop_limits
+        if 1.0 / config.loop.rate > period
+    ]
     found += [
         f"motor {motor.name}: no watchdog in the controller: {motor.watchdog_waiver}"
         for motor in config.motor

@@ -35,7 +35,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
     "gateway.core.ability.Abilities": frozenset(
-        {"_inertia", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
+        {"_chassis", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
@@ -56,7 +56,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
     ),
-    "gateway.control.drive_law.SpeedLaw": frozenset({"_kinematics", "_period", "_top_speeds", "_velocity"}),
+    "gateway.control.drive_law.SpeedLaw": frozenset({"_brakes", "_kinematics", "_period", "_top_speeds", "_velocity"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(

@@ -33,7 +33,7 @@ from typing import Annotated, Literal, NamedTuple, SupportsFloat, SupportsIndex,
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json, to_json
 
-from gateway.config import NAME_PATTERN
+from gateway.sections import NAME_PATTERN
 from gateway.types import (
     AbilityStatus,
     Event,

@@ -16,11 +16,13 @@ class GeometryError(ValueError):
 class Estimate(NamedTuple):
     """Body rate (or, from wheel displacements, body displacement) that fits measured wheels best.
 
-    `residual` is the rim speed (m/s) that no rigid motion explains; None where the wheels carry no redundancy.
+    `residuals`: what of each wheel's rim speed no rigid motion explains, (I - D D+) m in m/s (Rojas 2005, section 9);
+    None of a wheel that was not measured, and altogether where the wheels carry no redundancy. `residual`: their norm.
     """
 
     twist: Twist
     residual: float | None
+    residuals: tuple[float | None, ...] | None = None
 
 
 class Reach(NamedTuple):

@@ -4,13 +4,14 @@ A flat drawing: heights only say what lies on top of what.
 """
 
 from collections.abc import Sequence
-from math import cos, hypot, pi, sin
+from math import cos, pi, sin
 
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from gateway.config import OffsetDifferentialRobot, OmniRobot, RobotConfig
+from gateway.chassis.contract import DrawnWheel
+from gateway.config import RobotConfig
 
 WORLD = "/trace/world"
 PATH = "/trace/world/path"
@@ -45,23 +46,14 @@ def colours(count: int, *, pale: bool = False) -> list[int]:
     return [(_HUES[place % len(_HUES)] << 8) | (0x70 if pale else 0xFF) for place in range(count)]
 
 
-def reach(config: RobotConfig) -> float:
-    """Radius of the circle that stands for the body (m)."""
-    robot = config.robot
-    if isinstance(robot, OffsetDifferentialRobot):
-        return max(robot.axle_offset, robot.track / 2)
-    return max(hypot(wheel.x, wheel.y) for wheel in robot.wheel)
-
-
 def send_shapes(recording: rr.RecordingStream, config: RobotConfig) -> None:
     """Everything of the picture that never changes within its own frame."""
-    robot = config.robot
+    drawing = config.robot.drawing()
     recording.log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if isinstance(robot, OffsetDifferentialRobot):
-        _send_offset_chassis(recording, robot)
-    else:
-        _send_omni_wheels(recording, robot)
-    size = reach(config)
+    size, below = drawing.reach, ROBOT if drawing.beneath is None else CHASSIS_PATH
+    _wheels(recording, f"{below}/wheels", drawing.wheels)
+    if drawing.frame:
+        _outline(recording, f"{below}/frame", np.array(drawing.frame), height=CHASSIS_HEIGHT, colour=CHASSIS_COLOUR)
     _outline(recording, BODY, _circle(size), height=BODY_HEIGHT, colour=BODY_COLOUR)
     pointer = np.array([(0.55, 0.25), (0.95, 0.0), (0.55, -0.25)]) * size
     _outline(recording, f"{BODY}/front", pointer, height=BODY_HEIGHT, colour=BODY_COLOUR)
@@ -74,21 +66,6 @@ def send_shapes(recording: rr.RecordingStream, config: RobotConfig) -> None:
         recording.log(path, style, static=True)
 
 
-def _send_omni_wheels(recording: rr.RecordingStream, robot: OmniRobot) -> None:
-    """A wheel rolls at right angles to its axle."""
-    wheels = [(wheel.x, wheel.y, wheel.axis_angle + pi / 2, wheel.radius) for wheel in robot.wheel]
-    _wheels(recording, f"{ROBOT}/wheels", wheels)
-
-
-def _send_offset_chassis(recording: rr.RecordingStream, robot: OffsetDifferentialRobot) -> None:
-    """The axle lies behind the joint, which is the middle of the body above; both turn against each other."""
-    rear, half, radius = -robot.axle_offset, robot.track / 2, robot.wheel_radius
-    front = robot.caster.position if robot.caster is not None else robot.axle_offset
-    corners = np.array([(rear, half), (front, half / 2), (front, -half / 2), (rear, -half), (rear, half)])
-    _outline(recording, f"{CHASSIS_PATH}/frame", corners, height=CHASSIS_HEIGHT, colour=CHASSIS_COLOUR)
-    _wheels(recording, f"{CHASSIS_PATH}/wheels", [(rear, half, 0.0, radius), (rear, -half, 0.0, radius)])
-
-
 def _circle(radius: float) -> Points:
     turns = np.linspace(0.0, 2 * pi, 49)
     return radius * np.column_stack((np.cos(turns), np.sin(turns)))
@@ -99,8 +76,7 @@ def _outline(recording: rr.RecordingStream, path: str, points: Points, *, height
     recording.log(path, rr.LineStrips3D([strip], colors=colour, radii=LINE), static=True)
 
 
-def _wheels(recording: rr.RecordingStream, path: str, wheels: Sequence[tuple[float, float, float, float]]) -> None:
-    """Wheels as (x, y, rolling direction, radius)."""
+def _wheels(recording: rr.RecordingStream, path: str, wheels: Sequence[DrawnWheel]) -> None:
     boxes = rr.Boxes3D(
         centers=[(x, y, WHEEL_HEIGHT / 2) for x, y, _, _ in wheels],
         half_sizes=[(radius, 0.3 * radius, WHEEL_HEIGHT / 2) for *_, radius in wheels],

@@ -61,7 +61,7 @@ class Views:
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
         self._names = tuple(motor.name for motor in config.motors_in_order())
-        self._joint = next((i for i, kind in enumerate(self._names) if kind == _platform(config)), None)
+        self._joint = config.robot.drawing().beneath
         self._entities = entities()  # each costs a kilobyte per batch
         self._layouts = {entity: Layout(self._names, channels) for entity, channels in self._entities.items()}
         self._mode: Mode | None = None
@@ -210,10 +210,6 @@ def _places(times: Times, period_ns: int, slot: int) -> tuple[Integers, int]:
     """The first cycle of each period, after that of number `slot`; and the number of the last period."""
     slots = times.mono // period_ns
     return np.flatnonzero(np.diff(slots, prepend=slot) != 0), int(slots[-1])
-
-
-def _platform(config: RobotConfig) -> str | None:
-    return config.robot.platform if config.robot.kind == "offset_differential" else None
 
 
 def _lines(recording: rr.RecordingStream, path: str, measured: Sequence[str], *, asked: Sequence[str] = ()) -> None:

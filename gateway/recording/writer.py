@@ -39,7 +39,6 @@ from gateway.recording.disk import (
 from gateway.recording.header import header
 from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Gap, Hello, Record, RecorderReport, Snapshot
 from gateway.recording.segment import Segment
-from gateway.recording.shapes import reach
 from gateway.recording.views import Views
 
 logger = logging.getLogger(__name__)
@@ -63,7 +62,7 @@ class SessionWriter:
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
         self._views = Views(config)
-        self._blueprint = blueprint(eye_height=EYE_HEIGHTS * reach(config))
+        self._blueprint = blueprint(eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0

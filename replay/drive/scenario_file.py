@@ -7,8 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from gateway import robot_files
-from gateway.config import ConfigError, Name, RobotConfig, parse_as, read
+from gateway.config import ConfigError, RobotConfig, parse_as, read
 from gateway.edges.messages import MAX_SPEED, MAX_TURN
+from gateway.sections import Name
 from gateway.types import Mode
 from replay.drive.commanders import SENDER
 from replay.drive.faults import RULES, FaultKind, Target, wheels

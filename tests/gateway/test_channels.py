@@ -27,6 +27,14 @@ def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
     assert named[f"position.{motors[0]}"] == seen.wheel_positions[0]
 
 
+def test_the_residual_is_told_of_every_wheel_that_has_one() -> None:
+    motors = World("omni4").config.robot.motor_names()
+    named = Layout(motors).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
+    assert [named[f"residual.{motor}"] for motor in motors] == [0.1, None, -0.1, 0.2]
+    motors = World("moby").config.robot.motor_names()
+    assert [Layout(motors).named(trace("moby"))[f"residual.{motor}"] for motor in motors] == [None] * 3
+
+
 def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
     seen = trace("moby")._replace(measured=None)
     layout = Layout(("left", "right", "platform"))

@@ -335,7 +335,9 @@ def test_numbers_of_check_by_hand() -> None:
     """
     moby = examine(parse(robot_text("moby"), "moby"), "moby")
     assert moby.top_speeds.vx == pytest.approx(22.0 / 164.0**0.5, rel=2e-3)
-    assert moby.compensation_period_limit_s == pytest.approx(0.2289, abs=1e-4)
+    (compensation,) = moby.loop_limits
+    assert compensation.name == "compensation"
+    assert compensation.period == pytest.approx(0.2289, abs=1e-4)
     omni = examine(parse(robot_text("omni4"), "omni4"), "omni4")
     assert omni.buses[0].load == pytest.approx(4250 * 135 / 1e6)
     assert (frame_bits(8, extended=False), frame_bits(8, extended=True)) == (135, 160)

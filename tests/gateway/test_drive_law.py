@@ -6,7 +6,7 @@ import pytest
 
 from drivers.contract import CommandKind
 from gateway.config import parse
-from gateway.control.drive_law import Measured, Motion, SpeedLaw
+from gateway.control.drive_law import BRAKE, Measured, Motion, SpeedLaw
 from gateway.core.assembly import build
 from gateway.types import ZERO_TWIST, Twist
 from tests.world import robot_text
@@ -91,3 +91,19 @@ def test_an_angle_never_known_is_no_motion() -> None:
 def test_a_chassis_without_steered_joints_needs_no_angle() -> None:
     motion = law("omni4").motion(Twist(0.0, 0.0, 1.0), measured(4, angle=None), braking=False)
     assert len({round(speed, 9) for speed in speeds(motion)}) == 1
+
+
+def test_what_stands_by_itself_is_braked_to_stop_and_may_be_let_go() -> None:
+    standing = law("moby")
+    assert standing.stop(measured()) == Motion((BRAKE,) * 3)
+    assert standing.may_release(measured(speed=1.0))
+    assert [standing.moves(measured(), turning=turning) for turning in (True, False, None)] == [True, False, None]
+
+
+def test_after_an_emergency_stop_a_known_angle_is_used_again() -> None:
+    blind = law("moby")
+    blind.motion(FORWARD, measured(angle=0.0), braking=False)
+    blind.motion(FORWARD, measured(angle=None), braking=True)
+    blind.stop(measured(angle=1.5))
+    seen = law("moby").motion(FORWARD, measured(angle=1.5), braking=True)
+    assert speeds(blind.motion(FORWARD, measured(angle=1.5), braking=True)) == pytest.approx(speeds(seen))

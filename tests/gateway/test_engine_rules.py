@@ -566,6 +566,7 @@ def test_what_is_told_of_a_drive() -> None:
     assert trace.measured == pytest.approx(FORWARD, abs=0.01)
     assert trace.winner_age_s == 0.0
     assert trace.residual == pytest.approx(0.0, abs=1e-9)
+    assert trace.residuals == pytest.approx([0.0] * 4, abs=1e-9)
     assert stand.cycle().trace.winner_age_s == 0.004
     status = next(out.status for out in iter(stand.cycle, None) if out.status is not None)
     assert (status.mode, status.winner, status.reason, status.faults) == (DRIVE, "teleop", None, ())
@@ -574,7 +575,7 @@ def test_what_is_told_of_a_drive() -> None:
     assert status.twist == pytest.approx(FORWARD, abs=0.01)
     stand.motors.states = [SILENT] * 4
     out = stand.cycle()
-    assert (out.trace.measured, out.trace.residual) == (None, None)
+    assert (out.trace.measured, out.trace.residual, out.trace.residuals) == (None, None, None)
     stand = Stand("omni4")
     assert stand.out.status is not None
     assert (stand.out.status.winner, stand.out.status.winner_age_s) == (None, None)

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.config import load
-from gateway.kinematics import KINEMATICS
 from gateway.kinematics.contract import GeometryError, Kinematics, desaturate
+from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
-from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Twist
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
@@ -23,14 +23,14 @@ angles = st.floats(-10.0, 10.0)
 
 def kinematics(name: str) -> Kinematics:
     robot = load(ROBOTS / f"{name}.toml")[0].robot
-    return KINEMATICS[robot.kind](robot)
+    return robot.kinematics()
 
 
-def ring(*degrees: float, distance: float = 0.3, radius: float = 0.05) -> OmniKinematics:
+def ring(*degrees: float, distance: float = 0.3, radius: float = 0.05) -> FixedWheels:
     poses = [
         WheelPose(distance * cos(a), distance * sin(a), a, radius) for a in (degree * pi / 180.0 for degree in degrees)
     ]
-    return OmniKinematics(poses)
+    return omni_kinematics(poses)
 
 
 # Four wheels at 45, 135, 225, 315 degrees, 0.3 m out, radius 0.05 m: drive directions are the axles turned by 90
@@ -91,7 +91,7 @@ def test_omni_rows_are_the_velocity_of_the_contact_point(contact: list[float], r
     moved = np.array([cos(step) * x - sin(step) * y, sin(step) * x + cos(step) * y])
     drive = np.array([cos(axis + pi / 2), sin(axis + pi / 2)])
     turning = float(drive @ (moved - [x, y])) / step / radius
-    row = [OmniKinematics(wheels).wheel_speeds(twist)[0] for twist in (Twist(1, 0, 0), Twist(0, 1, 0), Twist(0, 0, 1))]
+    row = [omni_kinematics(wheels).wheel_speeds(twist)[0] for twist in (Twist(1, 0, 0), Twist(0, 1, 0), Twist(0, 0, 1))]
     assert row == pytest.approx([drive[0] / radius, drive[1] / radius, turning], abs=1e-4 + 1e-5 * abs(theta))
 
 
@@ -142,6 +142,53 @@ def test_slip_of_one_wheel_is_seen_but_not_located() -> None:
         assert estimate.residual == pytest.approx(0.05)
 
 
+@given(st.lists(st.floats(-50.0, 50.0), min_size=6, max_size=6), st.data())
+@pytest.mark.parametrize("degrees", LAYOUTS)
+def test_residual_of_each_wheel_is_what_no_motion_explains(
+    degrees: Sequence[float], wheels: list[float], data: st.DataObject
+) -> None:
+    """(I - D D+) m by numpy's least squares, of wheels of which any may be silent and each has a radius of its own."""
+    radii = [0.05 + 0.01 * place for place in range(len(degrees))]
+    poses = [WheelPose(0.3, 0.1, degree * pi / 180.0, radius) for degree, radius in zip(degrees, radii, strict=True)]
+    poses = [pose._replace(x=0.3 * cos(pose.axis_angle), y=0.2 * sin(pose.axis_angle)) for pose in poses]
+    speeds: list[float | None] = list(wheels[: len(degrees)])
+    for silent in data.draw(st.sets(st.integers(0, len(degrees) - 1), max_size=2)):
+        speeds[silent] = None
+    heard = [place for place, speed in enumerate(speeds) if speed is not None]
+    estimate = omni_kinematics(poses).twist(speeds)
+    if len(heard) <= 3:
+        assert estimate is None or (estimate.residual, estimate.residuals) == (None, None)
+        return
+    rows = np.array([rim_row(poses[place]) for place in heard])
+    rims = np.array([speeds[place] for place in heard], np.float64) * [radii[place] for place in heard]
+    unexplained = rims - rows @ np.linalg.lstsq(rows, rims)[0]
+    assert estimate is not None
+    assert estimate.residuals is not None
+    assert [estimate.residuals[place] for place in heard] == pytest.approx(unexplained, abs=1e-12)
+    assert [place for place, residual in enumerate(estimate.residuals) if residual is not None] == heard
+    assert estimate.residual == pytest.approx(np.linalg.norm(unexplained), abs=1e-12)
+
+
+def rim_row(pose: WheelPose) -> list[float]:
+    """Rim speed per m/s forward, m/s left and rad/s: the direction of rolling, and its moment about the centre."""
+    forward, left = cos(pose.axis_angle + pi / 2), sin(pose.axis_angle + pi / 2)
+    return [forward, left, pose.x * left - pose.y * forward]
+
+
+def test_the_wheel_that_slips_alone_among_many_stands_out() -> None:
+    """Six wheels, one 0.1 m/s too fast: no other is as far off. Of four all are off alike: nothing is located."""
+    for degrees, located in (((0, 60, 120, 180, 240, 300), True), ((30, 150, 210, 330), False)):
+        chassis = ring(*degrees)
+        wheels = chassis.wheel_speeds(Twist(0.5, -0.2, 1.0))
+        wheels[1] += 0.1 / 0.05
+        estimate = chassis.twist(wheels)
+        assert estimate is not None
+        assert estimate.residuals is not None
+        sizes = [abs(residual or 0.0) for residual in estimate.residuals]
+        assert (sorted(sizes)[-2] < 0.9 * sizes[1]) is located
+        assert max(sizes) == pytest.approx(0.05 if located else 0.025)
+
+
 def test_odometry_survives_any_single_encoder() -> None:
     chassis = kinematics("omni4")
     twist = Twist(0.4, -0.3, 0.8)
@@ -152,7 +199,7 @@ def test_odometry_survives_any_single_encoder() -> None:
         estimate = chassis.twist(wheels, [])
         assert estimate is not None
         assert estimate.twist == pytest.approx(twist)
-        assert estimate.residual is None
+        assert (estimate.residual, estimate.residuals) == (None, None)
         assert chassis.reach([speed is not None for speed in wheels]).complete
     assert chassis.twist([None, None, 1.0, 1.0], []) is None
     assert not chassis.reach([False, False, True, True]).complete

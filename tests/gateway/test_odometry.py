@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.core.odometry import WheelOdometry, advance
-from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Displacement, Pose, Twist
 
 RADIUS = 0.05
@@ -34,13 +34,13 @@ def take(
 
 def drive(odometry: WheelOdometry, twist: Twist, steps: int, *, residual: float = 0.0, start: int = 0) -> None:
     """Wheel positions of a constant twist, sampled every 4 ms."""
-    rates = OmniKinematics(POSES).wheel_speeds(twist)
+    rates = omni_kinematics(POSES).wheel_speeds(twist)
     for step in range(start, start + steps + 1):
         take(odometry, [rate * (step - start) * 0.004 for rate in rates], step, residual=residual)
 
 
 def omni() -> WheelOdometry:
-    return WheelOdometry(OmniKinematics(POSES), top_speeds=[200.0] * 4)
+    return WheelOdometry(omni_kinematics(POSES), top_speeds=[200.0] * 4)
 
 
 def test_straight_strafe_and_turn() -> None:
@@ -93,7 +93,7 @@ def test_the_covariance_is_positive_definite_always(
     """From the first cycle on: whoever fuses the odometry inverts it."""
     odometry, positions, now_ns = omni(), [0.0] * 4, 0
     for vx, vy, wz, residual, steps in drives:
-        rates = OmniKinematics(POSES).wheel_speeds(Twist(vx, vy, wz))
+        rates = omni_kinematics(POSES).wheel_speeds(Twist(vx, vy, wz))
         for _ in range(steps):
             now_ns += STEP_NS
             positions = [position + rate * 0.004 for position, rate in zip(positions, rates, strict=True)]
@@ -109,7 +109,7 @@ def test_the_covariance_is_positive_definite_always(
 def test_the_covariance_is_positive_definite_after_a_long_way() -> None:
     """10 km straight on: the heading error's lever is at its longest."""
     odometry = omni()
-    rate = OmniKinematics(POSES).wheel_speeds(Twist(1, 0, 0))
+    rate = omni_kinematics(POSES).wheel_speeds(Twist(1, 0, 0))
     for step in range(10_000):
         take(odometry, [one * step for one in rate], 250 * step)
         if step % 50 == 0:
@@ -140,7 +140,7 @@ def test_a_counter_that_restarts_is_no_motion() -> None:
 
 def test_a_late_frame_costs_nothing() -> None:
     odometry = omni()
-    rates = OmniKinematics(POSES).wheel_speeds(Twist(1, 0, 0))
+    rates = omni_kinematics(POSES).wheel_speeds(Twist(1, 0, 0))
     for step in (0, 1, 2, 20, 21):
         take(odometry, [rate * step * 0.004 for rate in rates], step)
     assert odometry.pose.x == pytest.approx(0.084)
@@ -189,7 +189,7 @@ def drive_with_gyro(
     odometry: WheelOdometry, twist: Twist, headings: Sequence[float | None], *, residual: float = 0.0
 ) -> None:
     """The wheels tell this twist from cycle to cycle; the gyro tells these headings."""
-    rates = OmniKinematics(POSES).wheel_speeds(twist)
+    rates = omni_kinematics(POSES).wheel_speeds(twist)
     for step, heading in enumerate(headings):
         slip = residual if step else 0.0
         take(odometry, [rate * step * 0.004 for rate in rates], step, residual=slip, heading=heading)

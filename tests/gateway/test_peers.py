@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.core.odometry import WheelOdometry, advance
 from gateway.kinematics.contract import desaturate
+from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import OffsetDifferentialKinematics
-from gateway.kinematics.omni import OmniKinematics, WheelPose
 from gateway.types import Displacement, Pose, Twist
 
 Given = Mapping[str, Any]
@@ -28,21 +29,21 @@ STEP_NS = 1_000_000_000
 # geometries, in the peer's order of wheels
 
 
-def ring(geometry: Given) -> OmniKinematics:
+def ring(geometry: Given) -> FixedWheels:
     angles = [geometry["first_angle"] + 2.0 * pi * index / geometry["wheels"] for index in range(geometry["wheels"])]
     distance = geometry["distance"]
-    return OmniKinematics([WheelPose(distance * cos(a), distance * sin(a), a, geometry["radius"]) for a in angles])
+    return omni_kinematics([WheelPose(distance * cos(a), distance * sin(a), a, geometry["radius"]) for a in angles])
 
 
-def mecanum(geometry: Given) -> OmniKinematics:
+def mecanum(geometry: Given) -> FixedWheels:
     (x, y), (from_x, from_y) = (geometry["x"], geometry["y"]), geometry["center"]
     places = ((x, y, -45.0), (x, -y, 45.0), (-x, y, 45.0), (-x, -y, -45.0))
     radius = geometry["radius"] / sqrt(2.0)
-    return OmniKinematics([driving(at_x - from_x, at_y - from_y, drive, radius) for at_x, at_y, drive in places])
+    return omni_kinematics([driving(at_x - from_x, at_y - from_y, drive, radius) for at_x, at_y, drive in places])
 
 
-def omni(geometry: Given) -> OmniKinematics:
-    return OmniKinematics([driving(*wheel) for wheel in geometry["wheels"]])
+def omni(geometry: Given) -> FixedWheels:
+    return omni_kinematics([driving(*wheel) for wheel in geometry["wheels"]])
 
 
 def driving(x: float, y: float, drive: float, radius: float) -> WheelPose:
@@ -50,11 +51,11 @@ def driving(x: float, y: float, drive: float, radius: float) -> WheelPose:
     return WheelPose(x, y, radians(drive - 90.0), radius)
 
 
-OMNI: dict[str, Callable[[Given], OmniKinematics]] = {"ring": ring, "mecanum": mecanum, "omni": omni}
+OMNI: dict[str, Callable[[Given], FixedWheels]] = {"ring": ring, "mecanum": mecanum, "omni": omni}
 SIGNS = {"ring": -1.0, "mecanum": 1.0, "omni": 1.0}  # of their wheel speeds against ours
 
 
-def chassis(given: Given) -> OmniKinematics:
+def chassis(given: Given) -> FixedWheels:
     geometry = GEOMETRIES[given["geometry"]]
     return OMNI[geometry["kind"]](geometry)
 

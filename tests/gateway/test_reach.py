@@ -8,19 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.config import parse
 from gateway.core.assembly import build
 from gateway.kinematics.contract import GeometryError
-from gateway.kinematics.omni import OmniKinematics, WheelPose
+from gateway.kinematics.fixed_wheels import FixedWheels
 from tests.world import robot_text
 
 COORDINATE = st.floats(-1.0, 1.0)
 
 
-def ring(count: int, *, first: float = pi / 4) -> OmniKinematics:
+def ring(count: int, *, first: float = pi / 4) -> FixedWheels:
     """Wheels of 0.05 m on a circle of 0.3 m, axles outwards."""
     angles = [first + 2.0 * pi * place / count for place in range(count)]
-    return OmniKinematics([WheelPose(0.3 * cos(a), 0.3 * sin(a), a, 0.05) for a in angles])
+    return omni_kinematics([WheelPose(0.3 * cos(a), 0.3 * sin(a), a, 0.05) for a in angles])
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ def test_effort_is_the_share_that_three_wheels_can_push_of_the_worst_of_four(
     poses: list[tuple[float, float, float]], lost: int
 ) -> None:
     try:
-        chassis = OmniKinematics([WheelPose(x, y, angle, 0.05) for x, y, angle in poses])
+        chassis = omni_kinematics([WheelPose(x, y, angle, 0.05) for x, y, angle in poses])
     except GeometryError:
         return
     reach = chassis.reach([place != lost for place in range(4)])

@@ -18,7 +18,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import Body, OffsetDifferentialRobot, OmniRobot
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.chassis.omni import OmniRobot
+from gateway.sections import Body
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import PLANTS

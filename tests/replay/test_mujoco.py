@@ -11,7 +11,6 @@ from typing import NamedTuple
 import pytest
 
 from gateway.config import load
-from gateway.kinematics import KINEMATICS
 from gateway.types import ZERO_TWIST, Mode, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
@@ -117,7 +116,7 @@ def test_wheels_that_grip_turn_as_the_kinematics_says(name: str) -> None:
     for _ in range(20):
         run(contact, 0.05, BOUNDS[name].torques)
         assert contact.slipping == ()
-        speeds = KINEMATICS[robot.kind](robot).wheel_speeds(contact.twist, contact.angles)
+        speeds = robot.kinematics().wheel_speeds(contact.twist, contact.angles)
         assert contact.rates == pytest.approx(speeds, abs=BOUNDS[name].rate)
 
 

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from gateway.config import Body, load
-from gateway.kinematics import KINEMATICS
+from gateway.chassis import CHASSIS
+from gateway.config import load
+from gateway.sections import Body
 from gateway.types import ZERO_TWIST, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
@@ -65,7 +66,7 @@ def state(plant: Plant) -> tuple[Any, ...]:
 
 
 def test_every_kind_of_the_registry_has_a_bundled_robot_to_be_tried_on() -> None:
-    assert {subject.robot.kind for subject in SUBJECTS.values()} == set(PLANTS) == set(KINEMATICS)
+    assert {subject.robot.kind for subject in SUBJECTS.values()} == set(PLANTS) == set(CHASSIS)
 
 
 # -- rest -------------------------------------------------------------------------------------------------------------
@@ -118,7 +119,7 @@ def mirror(subject: Subject) -> list[tuple[int, float]]:
 
     Read from the rows of the kinematics: vy and wz change their sign, so the row of the image is (a, -b, -c).
     """
-    rows = np.array(KINEMATICS[subject.robot.kind](subject.robot).matrix())
+    rows = np.array(subject.robot.kinematics().matrix())
     images = rows * [1.0, -1.0, -1.0]
     found = [
         (place, sign)
@@ -168,7 +169,7 @@ def test_joint_rates_are_those_of_the_body_twist_while_no_wheel_slips(subject: S
     """The kinematics of the core, made from the robot file on a way of its own, says the same of every joint."""
     plant = subject.plant()
     plant.place(PLACED[subject.robot.kind])
-    kinematics = KINEMATICS[subject.robot.kind](subject.robot)
+    kinematics = subject.robot.kinematics()
     for torques in (subject.mixed(), None, tuple(-2.0 * torque for torque in subject.mixed())):
         run(plant, 0.4, torques)
         assert plant.slipping == ()
@@ -236,7 +237,7 @@ def test_wheels_slip_on_ice_and_grip_again(subject: Subject) -> None:
         plant.set_friction(joint, inf)
     assert plant.slipping == ()
     assert plant.energy < energy
-    kinematics = KINEMATICS[subject.robot.kind](subject.robot)
+    kinematics = subject.robot.kinematics()
     assert kinematics.wheel_speeds(plant.twist, plant.angles) == pytest.approx(plant.rates, abs=1e-9)
 
 

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gateway.config import OffsetDifferentialRobot, OmniRobot, RobotConfig, load
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.chassis.omni import OmniRobot
+from gateway.config import RobotConfig, load
 from gateway.types import Twist
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import PLANTS, omni

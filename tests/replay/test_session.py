@@ -62,6 +62,7 @@ EMPTY_TRACE = Trace(
     wheel_positions=(None,) * 3,
     winner_age_s=None,
     residual=None,
+    residuals=None,
 )
 EMPTY_OUTPUTS = Outputs((), Mode.IDLE, (), (), None, None, EMPTY_TRACE, finished=False)
 TIMING = CycleTiming(0, 1, STARTED_NS)

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from math import cos, sin
 
-from gateway.config import Body, OffsetDifferentialRobot
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.sections import Body
 from gateway.types import Twist
 from replay.sim.plants.rigid_body import Chassis, RigidBody, Vector
 

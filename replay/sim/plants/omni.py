@@ -2,7 +2,8 @@
 
 from math import cos, sin
 
-from gateway.config import Body, OmniRobot
+from gateway.chassis.omni import OmniRobot
+from gateway.sections import Body
 from gateway.types import Twist
 from replay.sim.plants.rigid_body import Chassis, RigidBody
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import Body
+from gateway.sections import Body
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
 

@@ -1,20 +1,19 @@
-"""n omni wheels at arbitrary poses (Rojas 2005, sections 3-4 and 9, generalised to any wheel position and radius).
+"""Wheels whose geometry no joint angle changes: everything from one row per wheel.
 
 How this works
 --------------
-A wheel at p with its axle at angle a drives along d = (-sin a, cos a). Its rim speed is d . (v + w x p), one row of
-the rim matrix D. Everything else is computed from D: wheel speeds are D v / r, the body twist is the pseudo-inverse
-D+ applied to rim speeds, and what D cannot explain, (I - D D+) m, is slip. No matrix is typed in: the printed
-pseudo-inverse of the paper is wrong.
+A row of the rim matrix D is the rim speed of one wheel per m/s, m/s and rad/s of the body. Wheel speeds are D v / r,
+the body twist is the pseudo-inverse D+ applied to rim speeds, and what D cannot explain, (I - D D+) m, is slip (Rojas
+2005, sections 3-4 and 9).
 """
 
 from collections.abc import Sequence
 from math import sqrt
 from typing import Final, NamedTuple, cast
 
-from gateway.arithmetic import dot, sin_cos
+from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
-from gateway.kinematics.linear import Matrix, condition, kernel, product, pseudo_inverse, transpose
+from gateway.kinematics.linear import Matrix, Vector, condition, kernel, product, pseudo_inverse, transpose
 from gateway.kinematics.reach import ReachTable
 from gateway.types import Twist
 
@@ -22,38 +21,33 @@ _AXES: Final = 3
 _INVERSE_TOLERANCE: Final = 1e-9
 
 
-class WheelPose(NamedTuple):
-    """Contact point (m), axle angle counter-clockwise from forward (rad), rolling radius (m)."""
-
-    x: float
-    y: float
-    axis_angle: float
-    radius: float
-
-
 class _Solution(NamedTuple):
     """What one set of measured wheels says, per wheel speed (rad/s).
 
     `shares`: what each wheel adds to the twist, a column of the pseudo-inverse. `checks`: rows that any rigid motion
-    takes to zero.
+    takes to zero, m/s. `parts`: for every wheel, what of each check falls to it; None where it is not measured.
     """
 
     shares: tuple[tuple[float, float, float], ...]
     checks: Matrix
+    parts: tuple[Vector | None, ...]
 
 
-class OmniKinematics:
-    """Kinematics of n omni wheels. Raises GeometryError unless the wheels have three distinct directions."""
+class FixedWheels:
+    """Kinematics of n fixed wheels. Raises GeometryError unless they have three distinct directions.
+
+    `rim_rows`: one for each wheel; `radii`: of the wheels, m.
+    """
 
     steered: tuple[int, ...] = ()
 
-    def __init__(self, wheels: Sequence[WheelPose]) -> None:
-        self.rim_matrix: Matrix = tuple(_rim_row(wheel) for wheel in wheels)
+    def __init__(self, rim_rows: Sequence[tuple[float, float, float]], radii: Sequence[float]) -> None:
+        self.rim_matrix: Matrix = tuple(rim_rows)
         self.rim_pinv = _inverse(self.rim_matrix)
         self._reach = ReachTable(self.rim_matrix)
-        self._radii = tuple(wheel.radius for wheel in wheels)
+        self._radii = tuple(radii)
         self._rows = tuple((a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix, self._radii, strict=True))
-        self._all = (True,) * len(wheels)
+        self._all = (True,) * len(self._radii)
         self._solutions: dict[tuple[bool, ...], _Solution | None] = {self._all: self._solve(self._all)}
 
     def wheel_speeds(self, twist: Twist, positions: Sequence[float | None] = ()) -> list[float]:
@@ -62,7 +56,7 @@ class OmniKinematics:
         return [a * vx + b * vy + c * wz for a, b, c in self._rows]
 
     def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None] = ()) -> Estimate | None:
-        """Least-squares body twist of the measured wheels, with the norm of what it leaves unexplained."""
+        """Least-squares body twist of the measured wheels, with what it leaves unexplained, wheel by wheel."""
         if None in speeds:
             measured = tuple(speed is not None for speed in speeds)
             solution = self._solution(measured)
@@ -78,11 +72,12 @@ class OmniKinematics:
             wz += z * speed
         if not solution.checks:
             return Estimate(Twist(vx, vy, wz), None)
-        square = 0.0
-        for check in solution.checks:
-            unexplained = dot(check, known)
-            square += unexplained * unexplained
-        return Estimate(Twist(vx, vy, wz), sqrt(square))
+        unexplained = [dot(check, known) for check in solution.checks]
+        return Estimate(
+            Twist(vx, vy, wz),
+            sqrt(dot(unexplained, unexplained)),
+            tuple([None if part is None else dot(part, unexplained) for part in solution.parts]),
+        )
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""
@@ -107,12 +102,10 @@ class OmniKinematics:
             return None
         radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
         x, y, z = _scaled(inverse, radii)
-        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(kernel(transpose(rows)), radii))
-
-
-def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
-    sine, cosine = sin_cos(wheel.axis_angle)
-    return -sine, cosine, cosine * wheel.x + sine * wheel.y
+        basis = kernel(transpose(rows))  # its projector is I - D D+
+        of_known = iter(transpose(basis))
+        parts = tuple(next(of_known) if known and basis else None for known in measured)
+        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(basis, radii), parts)
 
 
 def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:

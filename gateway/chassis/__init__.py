@@ -1,0 +1,10 @@
+"""Every kind of chassis. A new one is a file here and its name in both lines below; its plant is in `replay.sim`."""
+
+from typing import Final
+
+from gateway.chassis.contract import Chassis
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.chassis.omni import OmniRobot
+
+AnyRobot = OmniRobot | OffsetDifferentialRobot  # by its `kind` in the robot file
+CHASSIS: Final[dict[str, type[Chassis]]] = {"omni": OmniRobot, "offset_differential": OffsetDifferentialRobot}

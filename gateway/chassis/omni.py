@@ -1,0 +1,84 @@
+"""n omni wheels at arbitrary poses (Rojas 2005, sections 3-4 and 9, generalised to any wheel position and radius).
+
+How this works
+--------------
+A wheel at p with its axle at angle a drives along d = (-sin a, cos a). Its rim speed is d . (v + w x p), one row of
+the rim matrix; everything else follows from the rows. No matrix is typed in: the printed pseudo-inverse of the paper
+is wrong.
+"""
+
+from collections.abc import Sequence
+from math import pi, sqrt
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import Field
+
+from gateway.arithmetic import sin_cos
+from gateway.chassis.contract import Drawing, DrawnWheel, LoopLimit
+from gateway.kinematics.fixed_wheels import FixedWheels
+from gateway.kinematics.linear import Matrix
+from gateway.sections import Angle, Body, Length, Metres, Name, Section
+
+
+class WheelPose(NamedTuple):
+    """Contact point (m), axle angle counter-clockwise from forward (rad), rolling radius (m)."""
+
+    x: float
+    y: float
+    axis_angle: float
+    radius: float
+
+
+def omni_kinematics(wheels: Sequence[WheelPose]) -> FixedWheels:
+    """Kinematics of these wheels. Raises GeometryError unless they have three distinct directions."""
+    return FixedWheels([_rim_row(wheel) for wheel in wheels], [wheel.radius for wheel in wheels])
+
+
+def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
+    sine, cosine = sin_cos(wheel.axis_angle)
+    return -sine, cosine, cosine * wheel.x + sine * wheel.y
+
+
+class OmniWheel(Section):
+    """Pose of one omni wheel: contact point, angle of the axle (outward), rolling radius."""
+
+    motor: Name
+    x: Metres
+    y: Metres
+    axis_angle: Angle
+    radius: Length
+
+
+class OmniRobot(Section):
+    """n omni wheels at arbitrary poses."""
+
+    GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
+
+    kind: Literal["omni"]
+    name: Name
+    body: Body
+    wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
+
+    def motor_names(self) -> tuple[str, ...]:
+        """Motors of the chassis in wheel order."""
+        return tuple(wheel.motor for wheel in self.wheel)
+
+    def kinematics(self) -> FixedWheels:
+        """From the poses of the wheels."""
+        return omni_kinematics([WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel])
+
+    def inertia(self, angles: Sequence[float]) -> Matrix:
+        """One rigid body."""
+        mass = self.body.mass
+        return (mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, self.body.inertia)
+
+    def drawing(self) -> Drawing:
+        """A wheel rolls at right angles to its axle."""
+        return Drawing(
+            reach=max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel),
+            wheels=tuple(DrawnWheel(wheel.x, wheel.y, wheel.axis_angle + pi / 2, wheel.radius) for wheel in self.wheel),
+        )
+
+    def loop_limits(self, top_speed: float) -> tuple[LoopLimit, ...]:
+        """Nothing."""
+        return ()
