@@ -5,11 +5,11 @@ import random
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import mp, mpf
 
-from gateway.arithmetic import dot, sin_cos
+from gateway.arithmetic import angle_of, arcsine, dot, logarithm, sin_cos
 
 # Of all floats the one nearest to a multiple of pi/2 (Muller, Elementary Functions, 2nd ed., section 11.3.2).
 HARDEST = 6381956970095103.0 * 2.0**797
@@ -108,3 +108,44 @@ def test_what_is_no_angle() -> None:
 def test_sum_is_taken_in_order() -> None:
     """Not compensated, as the built-in sum is from Python 3.12 on: 1e16 swallows each 1."""
     assert dot((1e16, 1.0, 1.0, -1e16), (1.0, 1.0, 1.0, 1.0)) == 0.0
+
+
+ordinary = st.floats(-1e6, 1e6) | st.floats(-1e-6, 1e-6) | st.sampled_from([0.0, -0.0, 1.0, -1.0])
+
+
+@settings(max_examples=1000, deadline=None)
+@given(ordinary, ordinary)
+def test_angles_within_what_is_promised(y: float, x: float) -> None:
+    with mp.workprec(200):
+        exact = mp.atan2(mpf(y), mpf(x)) if x != 0.0 or y != 0.0 else mpf(math.atan2(y, x))
+        if exact == 0 or abs(exact) == mp.pi:  # the signs of zeros, which mpmath does not know
+            assert math.copysign(1.0, angle_of(y, x)) == math.copysign(1.0, math.atan2(y, x))
+            exact = mpf(math.atan2(y, x))
+        assert abs(angle_of(y, x) - exact) <= 4e-16
+
+
+@settings(max_examples=1000, deadline=None)
+@given(st.floats(-1.0, 1.0) | st.sampled_from([1.0, -1.0, 0.0, math.nextafter(1.0, 0.0)]))
+def test_arcsines_within_what_is_promised(x: float) -> None:
+    with mp.workprec(200):
+        assert abs(arcsine(x) - mp.asin(mpf(x))) <= 4e-16
+
+
+def test_no_arcsine_beyond_one() -> None:
+    for x in (1.0000000000000002, -2.0):
+        with pytest.raises(ValueError, match="math domain error"):
+            arcsine(x)
+
+
+@settings(max_examples=1000, deadline=None)
+@given(st.floats(5e-324, 1.7e308) | st.floats(0.5, 2.0))
+def test_logarithms_within_what_is_promised(x: float) -> None:
+    with mp.workprec(200):
+        exact = mp.log(mpf(x))
+        assert abs(logarithm(x) - exact) <= 2e-16 + 2.0 * math.ulp(float(exact))
+
+
+@pytest.mark.parametrize("x", [0.0, -1.0, math.inf, math.nan])
+def test_no_logarithm_of_what_has_none(x: float) -> None:
+    with pytest.raises(ValueError, match="must be finite and above zero"):
+        logarithm(x)

@@ -1,0 +1,126 @@
+"""Pull-region compensation: turn the velocity of the joint against the chassis' error, at the same speed.
+
+How this works
+--------------
+v_corr = Rot(-k e) v, where e is the error of gamma from its goal and |e| is within a region (Eqs. 22-25 of
+preprints202312.1327; science 1.4). On a straight path de/dt = -(c/d1) sin((k - 1) e): k = 0 lets the chassis flip,
+k = 1 freezes the error, k = 2 makes it decay as it would in the push region (the mirror image, Eq. 23). Everything is
+in the platform frame, so no heading is needed, and the speed stays what the limits made it.
+
+It acts behind the limits of the body: a stabiliser that has to wait for a ramp is none. It is bounded by itself: the
+angle of correction moves at most so fast that the wheels can follow, so that switching it on and off, another gain, and
+an error that leaves the region turn the velocity without a step.
+"""
+
+from collections.abc import Sequence
+from math import inf, pi, sqrt
+from typing import Final, NamedTuple
+
+from gateway.arithmetic import logarithm, sin_cos
+from gateway.control.pull_region import LEAST_SPEED, Pull, examine
+
+_PATH_RATE_TIME: Final = 0.1  # s, over which the rate of a path that nobody tells is averaged
+
+
+class RegionAt(NamedTuple):
+    """Largest error that is corrected at this speed, m/s and rad."""
+
+    speed: float
+    region: float
+
+
+def largest_region(gain: float) -> float:
+    """pi/(2 (k - 1)), rad: beyond it the correction gets weaker again; half way to where it turns the other way."""
+    return min(pi, pi / (2.0 * (gain - 1.0))) if gain > 1.0 else pi
+
+
+def longest_period(gain: float, *, axle_offset: float, speed: float, delay: float = 0.0) -> float:
+    """Period of the loop, s, from which on the sampled correction swings: (k - 1)(e^(c h/d1) - 1) < 2.
+
+    `delay`: s, by which the joint angle is old, counted as part of the period. Source: science 1.4; the delay ours.
+    """
+    if gain <= 1.0:
+        return inf
+    return axle_offset / speed * logarithm(1.0 + 2.0 / (gain - 1.0)) - delay
+
+
+def region_at(regions: Sequence[RegionAt], speed: float) -> float:
+    """Between the speeds of the table in proportion, beyond its ends as at them, rad."""
+    before = regions[0]
+    for after in regions:
+        if speed < after.speed:
+            if after is before:
+                break
+            share = (speed - before.speed) / (after.speed - before.speed)
+            return before.region + share * (after.region - before.region)
+        before = after
+    return before.region
+
+
+class PathRate:
+    """How fast the direction of a commanded motion turns over the ground, from the motion itself."""
+
+    def __init__(self) -> None:
+        self._direction: tuple[float, float] | None = None  # unit vector in the platform frame
+        self._turning = 0.0  # rad/s against the platform, averaged
+
+    def of(self, vx: float, vy: float, wz: float, dt: float) -> float:
+        """rad/s: the platform's own rate and that of the direction within it. Starts anew from rest."""
+        square = vx * vx + vy * vy
+        if square < LEAST_SPEED * LEAST_SPEED or dt <= 0.0:
+            if dt > 0.0:
+                self._direction, self._turning = None, 0.0
+            return wz
+        before, self._direction = self._direction, (vx, vy)
+        if before is not None:
+            cross, along = before[0] * vy - before[1] * vx, before[0] * vx + before[1] * vy
+            if along > 0.0:  # else it has turned back, which is no turn at any rate
+                share = min(1.0, dt / _PATH_RATE_TIME)
+                self._turning += share * (cross / along / dt - self._turning)
+        return wz + self._turning
+
+
+class Compensation:
+    """State: the angle by which the velocity is turned, rad."""
+
+    def __init__(self, *, gain: float, regions: Sequence[RegionAt], axle_offset: float, authority: float) -> None:
+        """`authority`: m/s^2 across the direction of motion with which the correction may turn the velocity."""
+        self.gain = gain
+        self.regions = tuple(regions)
+        self._axle_offset = axle_offset
+        self._authority = authority
+        self.angle = 0.0
+
+    def turn(
+        self, vx: float, vy: float, *, joint: float | None, path_rate: float, dt: float
+    ) -> tuple[float, float, Pull | None]:
+        """The velocity turned, and where the chassis is before it; `joint`: its angle, rad, None: unknown.
+
+        At rest, and while the angle is unknown, nothing is corrected and what was is let go.
+        """
+        pull = None
+        if joint is not None:
+            pull = examine(vx, vy, angle=joint, path_rate=path_rate, axle_offset=self._axle_offset)
+        if pull is None:
+            self.angle = 0.0
+            return vx, vy, None
+        self._approach(self._wanted(pull, vx, vy), vx, vy, dt)
+        s, c = sin_cos(self.angle)
+        return c * vx - s * vy, s * vx + c * vy, pull
+
+    def release(self) -> None:
+        """Correct nothing."""
+        self.angle = 0.0
+
+    def _wanted(self, pull: Pull, vx: float, vy: float) -> float:
+        square = vx * vx + vy * vy
+        region = region_at(self.regions, _root(square))
+        return -self.gain * pull.error if abs(pull.error) <= region else 0.0
+
+    def _approach(self, wanted: float, vx: float, vy: float, dt: float) -> None:
+        most = self._authority * dt / _root(vx * vx + vy * vy)
+        self.angle += max(-most, min(most, wanted - self.angle))
+
+
+def _root(square: float) -> float:
+    return sqrt(square)

@@ -1,0 +1,115 @@
+"""How an offset-differential chassis lies in its direction of motion: pushed, pulled, or about to flip.
+
+How this works
+--------------
+The platform joint moves at v; gamma is the angle from the chassis axis to v, counter-clockwise. With cos gamma > 0 the
+axle pushes the joint, and any error dies out along the way; with cos gamma < 0 the axle pulls it, an unstable balance:
+an error grows e-fold every d1 of way until the chassis has flipped (preprints202312.1327, section 4; science 1.3).
+On a path that turns at omega the balance in the pull region is at gamma_goal = pi - asin(d1 omega/c), which exists as
+long as the turn is no tighter than d1.
+"""
+
+from enum import Enum
+from math import pi, sqrt
+from typing import Final, NamedTuple
+
+from gateway.arithmetic import angle_of, arcsine, logarithm, sin_cos
+
+LEAST_SPEED: Final = 1e-3  # m/s; a slower motion has no direction to speak of (science 1.3)
+_NEUTRAL: Final = 1e-12  # |cos gamma| up to which steering is neutral: the chassis turns about the axle's middle
+
+
+class Region(Enum):
+    """Which side of the axle leads."""
+
+    PUSH = "push"
+    NEUTRAL = "neutral"
+    PULL = "pull"
+
+
+class Pull(NamedTuple):
+    """Where the chassis is and where it goes; None: at rest it has no direction, and no flip is to come.
+
+    `goal`: gamma of balance on the path, pulled; `saturated`: the path turns tighter than d1, and it has none.
+    `flip_way`, `flip_time`: until the chassis lies across, m and s, on a path that goes on as it is and uncorrected.
+    """
+
+    gamma: float  # rad, -pi to pi
+    region: Region
+    goal: float  # rad, pi/2 to 3 pi/2
+    saturated: bool
+    error: float  # rad, of gamma from the goal, -pi to pi
+    turn_radius: float | None  # m, of the path; None: it goes straight on
+    flip_way: float | None
+    flip_time: float | None
+
+
+class FlipSpeeds(NamedTuple):
+    """The fastest that wheels and joint turn while the chassis flips, rad/s."""
+
+    wheel: float
+    joint: float
+
+
+def wrapped(angle: float) -> float:
+    """The same direction within -pi to pi, rad."""
+    while angle > pi:
+        angle -= 2.0 * pi
+    while angle < -pi:
+        angle += 2.0 * pi
+    return angle
+
+
+def goal_of(path_rate: float, speed: float, axle_offset: float) -> tuple[float, bool]:
+    """gamma_goal = pi - asin(d1 omega/c) (Eq. 19), and whether it had to be clamped at a radius of d1."""
+    share = axle_offset * path_rate / speed
+    if -1.0 <= share <= 1.0:
+        return pi - arcsine(share), False
+    return (0.5 * pi if share > 0.0 else 1.5 * pi), True
+
+
+def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset: float) -> Pull | None:
+    """Of a joint that moves at (vx, vy), m/s in the platform frame, above a chassis at this joint angle, rad.
+
+    `path_rate`: rad/s by which the direction of motion turns over the ground. None below LEAST_SPEED.
+    """
+    speed = sqrt(vx * vx + vy * vy)
+    if speed < LEAST_SPEED:
+        return None
+    s, c = sin_cos(angle)
+    along, across = c * vx - s * vy, s * vx + c * vy
+    gamma = angle_of(across, along)
+    goal, saturated = goal_of(path_rate, speed, axle_offset)
+    error = wrapped(gamma - goal)
+    way = _flip_way(error, axle_offset)
+    return Pull(
+        gamma=gamma,
+        region=_region(along / speed),
+        goal=goal,
+        saturated=saturated,
+        error=error,
+        turn_radius=speed / abs(path_rate) if path_rate != 0.0 else None,
+        flip_way=way,
+        flip_time=None if way is None else way / speed,
+    )
+
+
+def flip_speeds(speed: float, *, wheel_radius: float, axle_offset: float, track: float) -> FlipSpeeds:
+    """(c/R) sqrt(1 + (d2/2 d1)^2) of the outer wheel, c/d1 of the joint: extremes of Eq. 12 over gamma."""
+    lever = track / (2.0 * axle_offset)
+    return FlipSpeeds(speed / wheel_radius * sqrt(1.0 + lever * lever), speed / axle_offset)
+
+
+def _region(cosine: float) -> Region:
+    if abs(cosine) <= _NEUTRAL:
+        return Region.NEUTRAL
+    return Region.PUSH if cosine > 0.0 else Region.PULL
+
+
+def _flip_way(error: float, axle_offset: float) -> float | None:
+    """Until |e| = pi/2, by tan(e/2) = tan(e0/2) exp(s/d1): exact on a straight path (science 1.3)."""
+    size = abs(error)
+    if size >= 0.5 * pi or size == 0.0:
+        return None
+    sine, cosine = sin_cos(0.5 * size)
+    return -axle_offset * logarithm(sine / cosine)

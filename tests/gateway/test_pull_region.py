@@ -1,0 +1,210 @@
+"""Pull-region analysis and compensation against the figures of science 1.3, 1.4 and section 6, M2 to M9."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, longest_period, region_at
+from gateway.control.pull_region import Region, examine, flip_speeds, goal_of
+
+D1, C = 0.25, 1.2  # m, m/s
+EVERYWHERE = (RegionAt(0.0, math.pi),)
+
+
+def advance(gamma: float, way: float, d1: float = D1) -> float:
+    """The chassis after a straight way at a constant direction: tan(g/2) falls e-fold every d1 (science 1.3)."""
+    return 2.0 * math.atan(math.tan(gamma / 2.0) * math.exp(-way / d1))
+
+
+def drive(
+    error: float,
+    seconds: float,
+    h: float,
+    *,
+    gain: float,
+    region: float = math.pi,
+    c: float = C,
+    authority: float = 1e9,
+) -> list[float]:
+    """Errors of a straight drive along x, cycle by cycle: the chassis at heading 0, the platform's is gamma."""
+    compensation = Compensation(gain=gain, regions=EVERYWHERE, axle_offset=D1, authority=1e9)
+    heading, errors = math.pi - error, []  # of the chassis against the direction of motion, negated
+    for _ in range(round(seconds / h)):
+        # The platform looks along x and moves along x; the joint angle is minus the chassis heading.
+        vx, vy, pull = compensation.turn(C, 0.0, joint=heading, path_rate=0.0, dt=h)
+        assert math.hypot(vx, vy) == pytest.approx(C, rel=1e-12)
+        assert pull is not None
+        gamma = heading + math.atan2(vy, vx)  # of the velocity that is driven
+        before = gamma
+        heading += advance(math.remainder(gamma, math.tau), C * h) - math.remainder(before, math.tau)
+        errors.append(math.remainder(heading - math.pi, math.tau))
+    return errors
+
+
+def test_where_the_chassis_is_by_hand() -> None:
+    """Platform and chassis at heading 0 and moving forward: pushed. Moving backward: pulled. Sideways: neutral."""
+    pushed = examine(1.0, 0.0, angle=0.0, path_rate=0.0, axle_offset=D1)
+    pulled = examine(-1.0, 0.0, angle=0.0, path_rate=0.0, axle_offset=D1)
+    across = examine(0.0, 1.0, angle=0.0, path_rate=0.0, axle_offset=D1)
+    assert pushed is not None
+    assert pulled is not None
+    assert across is not None
+    assert (pushed.region, pushed.gamma) == (Region.PUSH, 0.0)
+    assert pulled.region is Region.PULL
+    assert (pulled.gamma, pulled.error) == pytest.approx((math.pi, 0.0))
+    assert across.region is Region.NEUTRAL
+    assert across.gamma == pytest.approx(math.pi / 2)
+    assert pulled.turn_radius is None
+    turned = examine(0.0, 1.0, angle=math.pi / 2, path_rate=0.5, axle_offset=D1)  # chassis looks to -y, moves to +y
+    assert turned is not None
+    assert (turned.region, turned.turn_radius) == (Region.PULL, 2.0)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5e-3, 0.999e-3])
+def test_at_rest_there_is_no_direction(speed: float) -> None:
+    assert examine(speed, 0.0, angle=1.0, path_rate=0.0, axle_offset=D1) is None
+
+
+def test_goal_on_a_turning_path_m9() -> None:
+    """R = 0.2 m, d1 = 0.145: 133.531 degrees; R = d1: 90; tighter: clamped, and said."""
+    for radius, degrees, saturated in ((0.2, 133.531, False), (0.145, 90.0, False), (0.1, 90.0, True)):
+        goal, clamped = goal_of(1.0 / radius, 1.0, 0.145)
+        assert math.degrees(goal) == pytest.approx(degrees, abs=5e-4)
+        assert clamped is saturated
+    assert goal_of(-1.0 / 0.2, 1.0, 0.145)[0] == pytest.approx(math.tau - goal_of(1.0 / 0.2, 1.0, 0.145)[0])
+
+
+def test_the_way_until_it_flips() -> None:
+    """0.576 m per decade of the error at d1 = 0.25 (science 1.3), and what is predicted is what then happens."""
+    for decade in (1e-2, 1e-3, 1e-4):
+        one = examine(C, 0.0, angle=math.pi - decade, path_rate=0.0, axle_offset=D1)
+        ten = examine(C, 0.0, angle=math.pi - 10.0 * decade, path_rate=0.0, axle_offset=D1)
+        assert one is not None
+        assert ten is not None
+        assert one.flip_way is not None
+        assert ten.flip_way is not None
+        assert one.flip_way - ten.flip_way == pytest.approx(0.576, abs=1.5e-3)
+        assert one.flip_time == pytest.approx(one.flip_way / C)
+        assert abs(advance(one.gamma, one.flip_way)) == pytest.approx(math.pi / 2, abs=1e-9)
+    pushed = examine(C, 0.0, angle=0.1, path_rate=0.0, axle_offset=D1)
+    assert pushed is not None
+    assert pushed.flip_way is None
+
+
+def test_speeds_of_a_flip_are_the_extremes_over_gamma() -> None:
+    """Otbot at 1.2 m/s: by a search over gamma in the equations of science 1.1."""
+    wheel, joint = flip_speeds(C, wheel_radius=0.1, axle_offset=D1, track=0.4)
+    gammas = [k * math.pi / 5000 for k in range(5001)]
+    assert wheel == pytest.approx(
+        max(abs(C * math.cos(g) - C / D1 * math.sin(g) * 0.2) / 0.1 for g in gammas), rel=1e-6
+    )
+    assert joint == pytest.approx(max(abs(C / D1 * math.sin(g)) for g in gammas), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("gain", "figures"),
+    [
+        (0.0, {0.1: 31.81, 0.2: 49.45, 0.5: 125.55, 1.0: 174.66}),  # M3
+        (1.0, {0.1: 20.0, 0.5: 20.0, 1.0: 20.0}),  # M4
+        (2.0, {0.1: 12.426, 0.2: 7.690, 0.5: 1.812, 1.0: 0.163}),  # M5, at 1 kHz
+    ],
+)
+def test_drives_from_20_degrees_m3_m4_m5(gain: float, figures: dict[float, float]) -> None:
+    errors = drive(math.radians(20.0), 1.0, 1e-3, gain=gain)
+    for seconds, degrees in figures.items():
+        assert abs(math.degrees(errors[round(seconds * 1000) - 1])) == pytest.approx(degrees, abs=0.01)
+
+
+def test_gain_two_is_the_mirror_image_m6() -> None:
+    """Eq. 23: v mirrored at the axis of the goal."""
+    for degrees in (-80.0, -10.0, 3.0, 60.0):
+        error = math.radians(degrees)
+        compensation = Compensation(gain=2.0, regions=EVERYWHERE, axle_offset=D1, authority=1e9)
+        vx, vy, pull = compensation.turn(C, 0.0, joint=math.pi + error, path_rate=0.0, dt=1e-3)
+        assert pull is not None
+        assert pull.error == pytest.approx(error, abs=1e-12)
+        axis = pull.goal - (math.pi + error)  # the chassis' heading is minus the joint's angle; the velocity was at 0
+        assert math.remainder(math.atan2(vy, vx) - 2.0 * axis, math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_nothing_is_corrected_beyond_the_region_m7() -> None:
+    compensation = Compensation(gain=2.0, regions=(RegionAt(0.0, 0.5),), axle_offset=D1, authority=1e9)
+    assert compensation.turn(C, 0.0, joint=math.pi + 0.51, path_rate=0.0, dt=1e-3)[:2] == (C, 0.0)
+    assert compensation.turn(C, 0.0, joint=math.pi + 0.49, path_rate=0.0, dt=1e-3)[1] != 0.0
+    assert largest_region(3.0) == pytest.approx(math.radians(45.0))  # 60 degrees are refused
+    assert largest_region(2.0) == pytest.approx(math.radians(90.0))
+    assert largest_region(4.0) == pytest.approx(math.radians(30.0))
+    assert largest_region(1.0) == math.pi
+
+
+def test_the_limit_of_a_sampled_loop_m8() -> None:
+    """a = c h/d1: 1.0 settles, 1.12 does not; 1.0986 d1/c is the limit for k = 2. A small error, over 200 periods."""
+    assert longest_period(2.0, axle_offset=D1, speed=C) == pytest.approx(1.0986 * D1 / C, rel=1e-4)
+    assert longest_period(2.0, axle_offset=D1, speed=C, delay=0.05) == pytest.approx(1.0986 * D1 / C - 0.05, rel=1e-3)
+    assert longest_period(1.0, axle_offset=D1, speed=C) == math.inf
+    for a, settles in ((1.0, True), (1.09, True), (1.11, False), (1.12, False)):
+        h = a * D1 / C
+        errors = drive(1e-3, 200 * h, h, gain=2.0)
+        assert (abs(errors[-1]) < 1e-3) is settles
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(1.05, 4.0), st.floats(0.02, 1.0))
+def test_what_the_limit_says_is_what_the_loop_does(gain: float, share: float) -> None:
+    h = longest_period(gain, axle_offset=D1, speed=C)
+    inside, beyond = drive(1e-4, 50 * h * share, h * share, gain=gain), drive(1e-4, 60 * h, h * 1.02, gain=gain)
+    assert abs(inside[-1]) <= 1e-4 * (1.0 + 1e-6)
+    assert max(map(abs, beyond)) > 1e-4
+
+
+def test_a_table_of_regions() -> None:
+    table = (RegionAt(0.5, 1.0), RegionAt(1.0, 0.5), RegionAt(1.5, 0.5))
+    assert [region_at(table, speed) for speed in (0.0, 0.5, 0.75, 1.0, 1.2, 9.0)] == [1.0, 1.0, 0.75, 0.5, 0.5, 0.5]
+    assert region_at((RegionAt(0.0, 0.7),), 0.3) == 0.7
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-7.0, 7.0), st.floats(0.0, 4.0)), max_size=40
+    )
+)
+def test_whatever_changes_the_velocity_turns_without_a_step(steps: list[tuple[float, float, float, float]]) -> None:
+    """Direction, joint angle and gain at random: the correction turns by the authority at most, and keeps the speed."""
+    compensation = Compensation(gain=2.0, regions=(RegionAt(0.0, 1.5),), axle_offset=D1, authority=3.0)
+    before = 0.0
+    for vx, vy, joint, gain in steps:
+        compensation.gain = gain
+        x, y, pull = compensation.turn(vx, vy, joint=joint, path_rate=0.0, dt=0.004)
+        speed = math.hypot(vx, vy)
+        assert math.hypot(x, y) == pytest.approx(speed, rel=1e-12, abs=1e-300)
+        if pull is None:
+            assert (x, y, compensation.angle) == (vx, vy, 0.0)
+        else:
+            assert speed * abs(compensation.angle - before) <= 3.0 * 0.004 * (1.0 + 1e-9)
+        before = compensation.angle
+
+
+def test_an_angle_that_is_not_known_corrects_nothing() -> None:
+    compensation = Compensation(gain=2.0, regions=EVERYWHERE, axle_offset=D1, authority=1e9)
+    assert compensation.turn(C, 0.1, joint=None, path_rate=0.0, dt=0.004) == (C, 0.1, None)
+
+
+def test_the_rate_of_a_path_from_its_motion() -> None:
+    """A circle in the world: body rate for one who turns along, the direction's own for one who keeps his heading."""
+    for wz, turning in ((0.5, 0.0), (0.0, 0.5), (0.5, -0.5), (-0.2, 0.7)):
+        rate, told = PathRate(), 0.0
+        for cycle in range(500):
+            angle = turning * cycle * 0.004
+            told = rate.of(math.cos(angle), math.sin(angle), wz, 0.004)
+        assert told == pytest.approx(wz + turning, abs=1e-4)
+
+
+def test_turning_back_and_standing_are_no_rate() -> None:
+    rate = PathRate()
+    rate.of(1.0, 0.0, 0.0, 0.004)
+    assert rate.of(-1.0, 0.0, 0.0, 0.004) == 0.0
+    assert rate.of(0.0, 0.0, 0.3, 0.004) == 0.3
+    assert rate.of(0.0, 1.0, 0.3, 0.004) == 0.3
