@@ -16,7 +16,7 @@ Only samples that are new count where a position is compared: a lost frame is no
 
 from collections.abc import Callable, Sequence
 from math import copysign
-from typing import Final, NamedTuple, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 AT_LIMIT: Final = 0.8  # of the torque limit, from which a motor is taken to give all it has
 
@@ -293,8 +293,9 @@ class FollowingDetector:
 class SlipDetector:
     """The wheels together do not fit a rigid motion: at least one of them slips, which one cannot be said."""
 
-    THRESHOLD = 0.05  # m/s of rim speed; source: ours, the simulated omni4 stays below 0.001 in its hardest start
-    TIME = 0.04  # s
+    # m/s of rim speed; source: ours, the simulated omni4 stays below 0.001 in its hardest start
+    THRESHOLD: ClassVar[float] = 0.05
+    TIME: ClassVar[float] = 0.04  # s
 
     def __init__(self) -> None:
         self.slipping = False

@@ -6,7 +6,6 @@ Alone, and side by side in two processes; beside that what two processes that on
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from gateway.types import Twist
@@ -21,7 +20,6 @@ COURSE = (Twist(0.5, 0.0, 0.0), Twist(0.0, 0.4, 0.0), Twist(0.0, 0.0, 0.8), Twis
 LEG_S = 4.0
 REPEATS = 3
 ROUNDS = 3  # of the course, for two processes: some seconds of work
-START_S = 2.0
 COUNTS = 10_000_000
 
 
@@ -40,28 +38,24 @@ def measure() -> dict[str, float]:
 
 
 def _measured(folder: Path) -> dict[str, float]:
-    """In turn, so that whatever else the machine does meets all of them."""
-    alone, together, counted = [], [], []
+    """In turn, so that whatever else the machine does meets all of them; of each the best."""
+    alone, together, counted, counted_together = [], [], [], []
     with processes(2) as pool:
-        list(pool.map(time.sleep, [START_S, START_S]))  # both have started
+        verify(open_session(folder), pool=pool)  # both have started, which takes half a second
         for _ in range(REPEATS):
             verdicts = verify(open_session(folder)), verify(open_session(folder), pool=pool)
             assert verdicts[0]._replace(realtime_ratio=0.0) == verdicts[1]._replace(realtime_ratio=0.0)
             assert verdicts[0].identical
             alone.append(verdicts[0].realtime_ratio)
             together.append(verdicts[1].realtime_ratio)
-            counted.append(_gain(pool))
+            counted.append(_seconds(lambda: list(pool.map(_count, [COUNTS]))))
+            counted_together.append(_seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS]))))
     return {
         "verify_realtime_ratio": max(alone),
         "verify_realtime_ratio_two_processes": max(together),
-        "verify_gain_two_processes": max(two / one for one, two in zip(alone, together, strict=True)),
-        "counting_gain_two_processes": max(counted),
+        "verify_gain_two_processes": max(together) / max(alone),
+        "counting_gain_two_processes": 2.0 * min(counted) / min(counted_together),
     }
-
-
-def _gain(pool: ProcessPoolExecutor) -> float:
-    alone = _seconds(lambda: list(pool.map(_count, [COUNTS])))
-    return 2.0 * alone / _seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS])))
 
 
 def _seconds(work: Callable[[], object]) -> float:

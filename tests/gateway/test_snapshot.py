@@ -182,3 +182,16 @@ def test_what_is_left_out_never_changes_after_construction(owner: str) -> None:
                 (built if method.name == "__init__" else changed).add(node.attr)
     assert OWNERS[owner] <= built
     assert not OWNERS[owner] & changed
+
+
+@pytest.mark.parametrize("name", sorted(OWNERS))
+def test_what_a_class_of_state_holds_itself_is_declared_so(name: str) -> None:
+    """Compiled, anything else counts as state of each object, and the snapshot would not fit the one of pure Python."""
+    module, _, kind = name.rpartition(".")
+    tree = ast.parse(inspect.getsource(importlib.import_module(module)))
+    (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind)
+    dataclass = any("dataclass" in ast.unparse(decorator) for decorator in found.decorator_list)
+    for node in found.body:
+        assert not isinstance(node, ast.Assign) or ast.unparse(node.targets[0]) == "__slots__", ast.unparse(node)
+        if isinstance(node, ast.AnnAssign) and node.value is not None and not dataclass:
+            assert ast.unparse(node.annotation).startswith("ClassVar"), ast.unparse(node)
