@@ -53,12 +53,13 @@ class Loop(Section):
 
 
 class Limits(Section):
-    """Limits of the body twist, and the top speed of each motor's output (after the gear), rad/s."""
+    """Limits of the body twist, and of each motor's output (after the gear): rad/s, and, where given, rad/s^2."""
 
     velocity: Axes
     acceleration: Axes
     jerk: Axes
     motor_speed: dict[Name, Limit]
+    motor_acceleration: dict[Name, Limit] | None = None
 
     def as_stopping(self) -> dict[str, Twist]:
         """What the time and the way to rest follow from."""
@@ -219,6 +220,9 @@ class RobotConfig(Section):
         problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
         problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
+        if self.limits.motor_acceleration is not None:
+            given = self.limits.motor_acceleration
+            problems += _mismatch("limits.motor_acceleration", given, (motor.name for motor in self.motor))
         buses = [bus.name for bus in self.bus]
         problems += [
             f"motor {motor.name}: bus = {motor.bus!r}: no such [[bus]]; there is {', '.join(buses)}"

@@ -20,7 +20,7 @@ from typing import Protocol, TypeVar
 from drivers.contract import CanFrame
 from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_time
-from gateway.core.channels import Layout
+from gateway.core.channels import layout_of
 from gateway.core.engine import Engine
 from gateway.core.snapshot import State
 from gateway.core.standstill import REST_DWELL_NS, REST_TIMEOUT_NS
@@ -120,7 +120,7 @@ class Service:
         after_cycle: Callable[[int, Outputs], None] | None = None,
     ) -> None:
         self._engine = Engine(config)
-        self._channels = Layout(config.robot.motor_names())
+        self._channels = layout_of(config.robot)
         self._trace: Trace | None = None  # of the newest cycle
         self._bus = bus
         self._link = link

@@ -208,6 +208,16 @@ class SourceStatus(NamedTuple):
     reason: str | None
 
 
+class ChassisState(NamedTuple):
+    """What a chassis of one kind knows of itself: facts by name for `state`, numbers for plots (its own channels)."""
+
+    facts: dict[str, float | str | bool | None]
+    numbers: tuple[float | None, ...]
+
+
+NO_STATE = ChassisState({}, ())
+
+
 class AbilityStatus(NamedTuple):
     """What the robot can do with the motors it has left. `rank`: number of independent ways to move.
 
@@ -243,6 +253,7 @@ class Status(NamedTuple):
     dropped_records: int
     cycle: int
     ability: AbilityStatus
+    chassis: dict[str, float | str | bool | None]  # what only this kind of chassis knows of itself
 
 
 class Trace(NamedTuple):
@@ -258,6 +269,7 @@ class Trace(NamedTuple):
     winner_age_s: float | None
     residual: float | None
     residuals: tuple[float | None, ...] | None  # m/s at the rim of each wheel; None where they carry no redundancy
+    chassis: tuple[float | None, ...] = ()  # by the channels of its kind
 
 
 class Outputs(NamedTuple):

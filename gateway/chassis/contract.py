@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple, Protocol
 
+from gateway.control.drive_law import DriveLaw
 from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Body
+from gateway.types import Twist
 
 Point = tuple[float, float]
 
@@ -33,16 +35,41 @@ class Drawing(NamedTuple):
 
 
 class LoopLimit(NamedTuple):
-    """What works only with a loop that is fast enough: its name, and the longest period, s."""
+    """What works only with a loop that is fast enough: its name, and the longest period, s.
+
+    `used`: the robot file asks for it, so a slower loop is refused.
+    """
 
     name: str
     period: float
+    used: bool
+
+
+class ChassisChannels(NamedTuple):
+    """Numbers that only this kind of chassis has, in the order in which its law tells them: names, unit and plot."""
+
+    entity: str
+    names: tuple[str, ...]
+    unit: str
+    plot: str
+
+
+class LawParts(NamedTuple):
+    """What a drive law is made of; per-motor tuples in chassis order."""
+
+    kinematics: Kinematics
+    top_speeds: tuple[float, ...]  # rad/s at the output
+    accelerations: tuple[float, ...] | None  # rad/s^2; None: no limit of their own
+    velocity: Twist  # limits of the body
+    acceleration: Twist
+    period: float  # s
 
 
 class Chassis(Protocol):
     """A section of the robot file with kind, name, body and geometry, frozen."""
 
     GEOMETRY: ClassVar[str]  # the keys of the geometry, in words
+    CHANNELS: ClassVar[tuple[ChassisChannels, ...]]
 
     @property
     def kind(self) -> str: ...
@@ -59,6 +86,10 @@ class Chassis(Protocol):
         """Its geometry. Raises GeometryError for one that cannot be driven."""
         ...
 
+    def law(self, parts: LawParts) -> DriveLaw:
+        """How it drives."""
+        ...
+
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """About its body axes at these joint angles, as the motors feel it, rotors left out: kg, kg m, kg m^2."""
         ...
@@ -67,6 +98,6 @@ class Chassis(Protocol):
         """How it is drawn."""
         ...
 
-    def loop_limits(self, top_speed: float) -> tuple[LoopLimit, ...]:
-        """What asks for a fast loop at this speed of the body, m/s."""
+    def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
+        """What asks for a fast loop at this speed of the body, m/s, with measurements up to `delay` s old."""
         ...

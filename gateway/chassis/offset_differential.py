@@ -1,18 +1,25 @@
 """Two driven wheels whose axle lies d1 behind a driven platform joint, and a passive caster (MOBY, Otbot)."""
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Final, Literal
+from math import isfinite, sqrt
+from typing import Annotated, ClassVar, Final, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import Drawing, DrawnWheel, LoopLimit
+from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.control.compensation import Compensation, RegionAt, largest_region, longest_period
+from gateway.control.drive_law import SpeedLaw
+from gateway.control.offset_law import OffsetDifferentialLaw
+from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
 from gateway.sections import Body, Length, Name, Section
+from gateway.types import Twist
 
-# ln(1 + 2/(k - 1)) of the pull-region compensation with k = 2: mirror-image decay (preprints202312.1327, Eq. 23)
-_COMPENSATION: Final = 1.0986122886681098
+_MIRROR: Final = 2.0  # gain of the mirror image (preprints202312.1327, Eq. 23)
+_AUTHORITY: Final = 12.0  # m/s^2 across the motion where the motors have no limit of their own; source: ours
+_SHARE: Final = 0.5  # of what the motors can change, that correcting may use
 
 
 class Caster(Section):
@@ -27,9 +34,60 @@ class Caster(Section):
         return CasterGeometry(self.trail, self.position, self.radius)
 
 
+class RegionPoint(Section):
+    """Largest error that is corrected at this speed."""
+
+    speed: Annotated[float, Field(ge=0.0, le=20.0, description="m/s")]
+    region: Annotated[float, Field(gt=0.0, le=3.15, description="rad")]
+
+
+class CompensationConfig(Section):
+    """Pull-region compensation: gain k of Eqs. 22 to 25, and the region of errors, rad, that it corrects.
+
+    k = 2 lets an error die out as it would in the push region; 1 freezes it, less lets the chassis flip.
+    """
+
+    gain: Annotated[float, Field(ge=0.0, le=4.0)] = _MIRROR
+    region: Annotated[list[RegionPoint], Field(min_length=1, max_length=32)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_region(cls, given: object) -> object:
+        """A number is a region at every speed."""
+        if isinstance(given, dict) and isinstance(given.get("region"), int | float):
+            return given | {"region": [{"speed": 0.0, "region": given["region"]}]}
+        return given
+
+    @model_validator(mode="after")
+    def _within_what_corrects(self) -> Self:
+        largest = largest_region(self.gain)
+        problems = [
+            f"region = {point.region:g}: allowed up to {largest:.4g} rad with gain = {self.gain:g}, pi/(2 (gain - 1)); "
+            "beyond it the correction gets weaker again"
+            for point in self.region
+            if point.region > largest + 1e-9
+        ]
+        speeds = [point.speed for point in self.region]
+        if speeds != sorted(set(speeds)):
+            problems.append(f"region: speeds {speeds} must grow")
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def points(self) -> tuple[RegionAt, ...]:
+        """For the law."""
+        return tuple(RegionAt(point.speed, point.region) for point in self.region)
+
+
 class OffsetDifferentialRobot(Section):
     """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
 
+    CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = (
+        ChassisChannels(
+            "angles", ("gamma", "gamma_goal", "gamma_error", "correction"), "rad", "Chassis to motion [rad]"
+        ),
+        ChassisChannels("flip", ("flip_way", "flip_time"), "m, s", "Until the chassis flips [m, s]"),
+    )
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
 
     kind: Literal["offset_differential"]
@@ -43,6 +101,7 @@ class OffsetDifferentialRobot(Section):
     right: Name
     platform: Name
     caster: Caster | None = None
+    compensation: CompensationConfig | None = None
 
     def motor_names(self) -> tuple[str, ...]:
         """Left wheel, right wheel, platform joint."""
@@ -53,6 +112,42 @@ class OffsetDifferentialRobot(Section):
         caster = None if self.caster is None else self.caster.geometry()
         return OffsetDifferentialKinematics(
             wheel_radius=self.wheel_radius, axle_offset=self.axle_offset, track=self.track, caster=caster
+        )
+
+    def law(self, parts: LawParts) -> OffsetDifferentialLaw:
+        """Pulled where the robot file asks for it, and slow enough for a flip where the motors have limits."""
+        given, limits = self.compensation, parts.accelerations
+        speeds = SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+        compensation = None
+        if given is not None:
+            authority = _AUTHORITY if limits is None else _SHARE * self._across(limits)
+            compensation = Compensation(
+                gain=given.gain, regions=given.points(), axle_offset=self.axle_offset, authority=authority
+            )
+        return OffsetDifferentialLaw(
+            speeds,
+            joint=PLATFORM,
+            axle_offset=self.axle_offset,
+            compensation=compensation,
+            flip=None if limits is None else self._flip_limit(limits, parts.acceleration),
+            accelerations=limits,
+        )
+
+    def _across(self, accelerations: Sequence[float]) -> float:
+        """m/s^2 with which the motors can turn the velocity of the joint, the chassis lying any way."""
+        left, right, joint = accelerations
+        lever = self.track / (2.0 * self.axle_offset)
+        return min(min(left, right) * self.wheel_radius / sqrt(1.0 + lever * lever), joint * self.axle_offset)
+
+    def _flip_limit(self, accelerations: Sequence[float], body: Twist) -> FlipLimit:
+        left, right, joint = accelerations
+        return FlipLimit(
+            wheel_radius=self.wheel_radius,
+            axle_offset=self.axle_offset,
+            track=self.track,
+            wheel_acceleration=min(left, right),
+            joint_acceleration=joint,
+            braking=min(body.vx, body.vy),
         )
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
@@ -77,6 +172,8 @@ class OffsetDifferentialRobot(Section):
             beneath=PLATFORM,
         )
 
-    def loop_limits(self, top_speed: float) -> tuple[LoopLimit, ...]:
-        """h < ln(1 + 2/(k - 1)) d1 / c: beyond it sampled compensation swings (science 1.4, e^a < 3 for k = 2)."""
-        return (LoopLimit("compensation", _COMPENSATION * self.axle_offset / top_speed),)
+    def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
+        """h < ln(1 + 2/(k - 1)) d1 / c: beyond it sampled compensation swings; without one, told for k = 2."""
+        gain = _MIRROR if self.compensation is None else self.compensation.gain
+        period = longest_period(gain, axle_offset=self.axle_offset, speed=top_speed, delay=delay)
+        return (LoopLimit("compensation", period, used=self.compensation is not None),) if isfinite(period) else ()

@@ -14,7 +14,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import Drawing, DrawnWheel, LoopLimit
+from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Angle, Body, Length, Metres, Name, Section
@@ -52,6 +53,7 @@ class OmniWheel(Section):
 class OmniRobot(Section):
     """n omni wheels at arbitrary poses."""
 
+    CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = ()
     GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
 
     kind: Literal["omni"]
@@ -67,6 +69,10 @@ class OmniRobot(Section):
         """From the poses of the wheels."""
         return omni_kinematics([WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel])
 
+    def law(self, parts: LawParts) -> SpeedLaw:
+        """Every wheel at its speed."""
+        return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """One rigid body."""
         mass = self.body.mass
@@ -79,6 +85,6 @@ class OmniRobot(Section):
             wheels=tuple(DrawnWheel(wheel.x, wheel.y, wheel.axis_angle + pi / 2, wheel.radius) for wheel in self.wheel),
         )
 
-    def loop_limits(self, top_speed: float) -> tuple[LoopLimit, ...]:
+    def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
         """Nothing."""
         return ()

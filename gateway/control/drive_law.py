@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import Twist
+from gateway.types import NO_STATE, ChassisState, Twist
 
 
 class Measured(NamedTuple):
@@ -53,6 +53,7 @@ class Motion(NamedTuple):
     commands: tuple[JointCommand, ...]
     share: float = 1.0
     limits: tuple[str, ...] = ()
+    chassis: ChassisState = NO_STATE  # what only this chassis knows of itself
 
 
 class DriveLaw(Protocol):
@@ -97,7 +98,7 @@ class SpeedLaw:
     def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""
         self._blind = self._blind and braking
-        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self._angles_ahead(measured))
+        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self.angles_ahead(measured))
         if speeds is None:
             self._blind = braking
             return Motion(_velocities(self._in_proportion(setpoint)))
@@ -122,7 +123,7 @@ class SpeedLaw:
         """It stands by itself."""
         return True
 
-    def _angles_ahead(self, measured: Measured) -> Sequence[float | None]:
+    def angles_ahead(self, measured: Measured) -> Sequence[float | None]:
         """Angles of the steered joints as they will be when the motors turn as commanded: a period from now."""
         if not self._kinematics.steered:
             return measured.angles

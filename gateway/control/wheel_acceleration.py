@@ -18,6 +18,8 @@ from collections.abc import Sequence
 from math import inf, sqrt
 from typing import Final, NamedTuple
 
+from gateway.arithmetic import sin_cos
+
 # t from 0.1 mrad off push to 0.03 mrad off pull, in steps of 5 %: of d1 times 0.05 of way each.
 _FACTOR: Final = 1.05
 _LOG_FACTOR: Final = 0.04879016416943204  # ln 1.05
@@ -113,6 +115,11 @@ class FlipLimit:
             self._tangents.append(tangent)
             self._squares.append(allowed)
             tangent *= _FACTOR
+
+    def speed_towards(self, vx: float, vy: float, joint: float) -> float:
+        """The same for a motion in the platform frame above a chassis at this joint angle, rad."""
+        s, c = sin_cos(joint)
+        return self.speed(c * vx - s * vy, s * vx + c * vy)
 
     def speed(self, along: float, across: float) -> float:
         """Largest speed for a motion in this direction of the chassis, m/s: `along` its axis, `across` to its left."""

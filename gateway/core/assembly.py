@@ -6,8 +6,9 @@ from typing import NamedTuple
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
 from drivers.contract import Capabilities, Driver, MotorSpec
+from gateway.chassis.contract import LawParts
 from gateway.config import ConfigError, Motor, RobotConfig
-from gateway.control.drive_law import DriveLaw, SpeedLaw
+from gateway.control.drive_law import DriveLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
@@ -55,12 +56,20 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         capabilities=tuple(map(_with_loop, able, loops)),
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
-        law=SpeedLaw(
-            kinematics,
-            top_speeds=[config.limits.motor_speed[motor.name] for motor in motors],
-            velocity=config.limits.velocity.as_twist(),
-            period=1.0 / config.loop.rate,
-        ),
+        law=config.robot.law(_law_parts(config, kinematics)),
+    )
+
+
+def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
+    names, limits = config.robot.motor_names(), config.limits
+    accelerations = limits.motor_acceleration
+    return LawParts(
+        kinematics=kinematics,
+        top_speeds=tuple(limits.motor_speed[name] for name in names),
+        accelerations=None if accelerations is None else tuple(accelerations[name] for name in names),
+        velocity=limits.velocity.as_twist(),
+        acceleration=limits.acceleration.as_twist(),
+        period=1.0 / config.loop.rate,
     )
 
 

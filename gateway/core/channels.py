@@ -5,8 +5,10 @@ table: a new quantity is a field of `Trace`, and a row here.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
+from gateway.chassis.contract import Chassis
 from gateway.types import Trace
 
 Numbers = Sequence[float | None]
@@ -58,10 +60,27 @@ CHANNELS: Final = (
 POSITIONS: Final = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)
 
 
+def channels_of(chassis: Chassis) -> tuple[Channel, ...]:
+    """Those of every robot and those of this kind of chassis."""
+    found: list[Channel] = [*CHANNELS]
+    first = 0
+    for group in chassis.CHANNELS:
+        end = first + len(group.names)
+        found.append(
+            Channel(f"chassis/{group.entity}", group.names, group.unit, group.plot, partial(_of_chassis, first, end))
+        )
+        first = end
+    return tuple(found)
+
+
+def _of_chassis(first: int, end: int, trace: Trace) -> Numbers | None:
+    return trace.chassis[first:end] if trace.chassis else None
+
+
 class Layout:
     """Every channel of one robot as one flat row."""
 
-    def __init__(self, motors: Sequence[str], channels: Sequence[Channel] = (*CHANNELS, POSITIONS)) -> None:
+    def __init__(self, motors: Sequence[str], channels: Sequence[Channel]) -> None:
         self._channels = [(channel, len(channel.labels(motors))) for channel in channels]
         self.labels = [label for channel in channels for label in channel.labels(motors)]
 
@@ -74,7 +93,12 @@ class Layout:
         return dict(zip(self.labels, self.row(trace), strict=True))
 
 
-def entities(channels: Sequence[Channel] = CHANNELS) -> dict[str, list[Channel]]:
+def layout_of(chassis: Chassis) -> Layout:
+    """Every channel of this robot, positions included, motors in chassis order."""
+    return Layout(chassis.motor_names(), (*channels_of(chassis), POSITIONS))
+
+
+def entities(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
     """Channels by the entity that they share in the recording, in their order."""
     found: dict[str, list[Channel]] = {}
     for channel in channels:
@@ -82,7 +106,7 @@ def entities(channels: Sequence[Channel] = CHANNELS) -> dict[str, list[Channel]]
     return found
 
 
-def plots(channels: Sequence[Channel] = CHANNELS) -> dict[str, list[str]]:
+def plots(channels: Sequence[Channel]) -> dict[str, list[str]]:
     """Entities by the plot that shows them, in their order."""
     found: dict[str, list[str]] = {}
     for channel in channels:

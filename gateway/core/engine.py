@@ -146,7 +146,7 @@ class Engine:
         )
         status = None
         if self._reporter.status_due(now_ns) or events:
-            status = self._status(inputs, health, selection, reason=reason, limits=motion.limits, measured=measured)
+            status = self._status(inputs, health, selection, reason=reason, motion=motion, measured=measured)
         return Outputs(
             frames,
             self._mode,
@@ -165,6 +165,7 @@ class Engine:
                 _seconds(selection.age_ns),
                 residual,
                 residuals,
+                motion.chassis.numbers,
             ),
             self._shutdown and not self._energised,
         )
@@ -497,7 +498,7 @@ class Engine:
         selection: Selection,
         *,
         reason: str | None,
-        limits: tuple[str, ...],
+        motion: Motion,
         measured: Measured,
     ) -> Status:
         return Status(
@@ -508,7 +509,7 @@ class Engine:
             winner_age_s=_seconds(selection.age_ns),
             sources=self._arbiter.describe(selection, inputs.now_ns),
             motors=self._motors.status(measured),
-            limits_active=limits,
+            limits_active=motion.limits,
             stop_category=self._stop_category,
             standing=self._standstill.standing,
             pose=self._odometry.pose,
@@ -519,6 +520,7 @@ class Engine:
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
             ability=self._abilities.describe(self._ability),
+            chassis=motion.chassis.facts,
         )
 
 

@@ -78,10 +78,15 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             f"most of all those of {_slowest(config)}"
         )
     overloaded += _wild_loops(config, robot)
+    loop_limits = config.robot.loop_limits(max(limit.vx, limit.vy), delay=_feedback_delay(config))
+    overloaded += [
+        f"loop.rate = {config.loop.rate:g} Hz: too slow for {name} at limits.velocity: at least {1.0 / period:.1f} Hz"
+        for name, period, used in loop_limits
+        if used and 1.0 / config.loop.rate > period
+    ]
     if overloaded:
         raise ConfigError(origin, overloaded)
     strained, torque_share = _torque_share(config, robot)
-    loop_limits = config.robot.loop_limits(max(limit.vx, limit.vy))
     return Examination(
         robot=config.robot.name,
         kind=config.robot.kind,
@@ -108,6 +113,11 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             )
         ),
     )
+
+
+def _feedback_delay(config: RobotConfig) -> float:
+    """Oldest measurement that a cycle may have to do with, s."""
+    return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
 
 
 def _top_speeds(robot: Robot) -> Twist:
@@ -220,7 +230,7 @@ def _warnings(
         )
     found += [
         f"loop.rate = {config.loop.rate:g} Hz is too slow for {name}: {1 / period:.1f} Hz"
-        for name, period in loop_limits
+        for name, period, _ in loop_limits
         if 1.0 / config.loop.rate > period
     ]
     found += [

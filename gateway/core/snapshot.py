@@ -56,6 +56,11 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
     ),
+    "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
+        {"_accelerations", "_axle_offset", "_flip", "_joint"}
+    ),
+    "gateway.control.compensation.Compensation": frozenset({"_authority", "_axle_offset"}),
+    "gateway.control.compensation.PathRate": frozenset(),
     "gateway.control.drive_law.SpeedLaw": frozenset({"_brakes", "_kinematics", "_period", "_top_speeds", "_velocity"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),

@@ -16,7 +16,7 @@ import rerun as rr
 
 from drivers.contract import CanFrame
 from gateway.config import RobotConfig
-from gateway.core.channels import Layout, entities
+from gateway.core.channels import Layout, channels_of, entities
 from gateway.core.frame_words import FrameWords
 from gateway.recording.columns import Integers, Times
 from gateway.recording.packets import Gap, Record
@@ -62,7 +62,7 @@ class Views:
         self._config = config
         self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = config.robot.drawing().beneath
-        self._entities = entities()  # each costs a kilobyte per batch
+        self._entities = entities(channels_of(config.robot))  # each costs a kilobyte per batch
         self._layouts = {entity: Layout(self._names, channels) for entity, channels in self._entities.items()}
         self._mode: Mode | None = None
         self._words = FrameWords(config)

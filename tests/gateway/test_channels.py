@@ -2,11 +2,12 @@
 
 import pytest
 
-from gateway.core.channels import CHANNELS, POSITIONS, Layout, entities, plots
+from gateway.core.channels import CHANNELS, POSITIONS, channels_of, entities, layout_of, plots
 from gateway.types import Trace
 from tests.world import World
 
-ALL = (*CHANNELS, POSITIONS)
+MOBY = World("moby").config.robot
+ALL = (*channels_of(MOBY), POSITIONS)
 
 
 def trace(name: str) -> Trace:
@@ -18,7 +19,7 @@ def trace(name: str) -> Trace:
 @pytest.mark.parametrize("name", ["moby", "omni4"])
 def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
     motors = World(name).config.robot.motor_names()
-    layout, seen = Layout(motors), trace(name)
+    layout, seen = layout_of(World(name).config.robot), trace(name)
     assert len(set(layout.labels)) == len(layout.labels) == len(layout.row(seen))
     named = layout.named(seen)
     assert named["x"] == seen.pose.x
@@ -29,15 +30,15 @@ def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
 
 def test_the_residual_is_told_of_every_wheel_that_has_one() -> None:
     motors = World("omni4").config.robot.motor_names()
-    named = Layout(motors).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
+    named = layout_of(World("omni4").config.robot).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
     assert [named[f"residual.{motor}"] for motor in motors] == [0.1, None, -0.1, 0.2]
-    motors = World("moby").config.robot.motor_names()
-    assert [Layout(motors).named(trace("moby"))[f"residual.{motor}"] for motor in motors] == [None] * 3
+    named = layout_of(MOBY).named(trace("moby"))
+    assert [named[f"residual.{motor}"] for motor in MOBY.motor_names()] == [None] * 3
 
 
 def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
     seen = trace("moby")._replace(measured=None)
-    layout = Layout(("left", "right", "platform"))
+    layout = layout_of(MOBY)
     assert [layout.named(seen)[f"{axis}_measured"] for axis in ("vx", "vy", "wz")] == [None] * 3
     assert len(layout.row(seen)) == len(layout.labels)
 
@@ -48,8 +49,9 @@ def test_no_part_of_the_trace_is_left_out() -> None:
         def __init__(self) -> None:
             self.names: set[str] = set()
 
-        def __getattr__(self, name: str) -> None:
+        def __getattr__(self, name: str) -> tuple[float, ...]:
             self.names.add(name)
+            return ()
 
     noted = Noted()
     for channel in ALL:
@@ -58,6 +60,8 @@ def test_no_part_of_the_trace_is_left_out() -> None:
 
 
 def test_plots_show_entities_that_exist_and_a_unit_is_told() -> None:
-    assert {entity for shown in plots().values() for entity in shown} <= set(entities())
-    assert next(iter(plots())) == "Wheel speeds [rad/s]"
-    assert all(channel.unit and f"[{channel.unit}]" in (channel.plot or f"[{channel.unit}]") for channel in CHANNELS)
+    channels = channels_of(MOBY)
+    assert {entity for shown in plots(channels).values() for entity in shown} <= set(entities(channels))
+    assert next(iter(plots(channels))) == "Wheel speeds [rad/s]"
+    assert set(entities(channels)) - set(entities(CHANNELS)) == {"chassis/angles", "chassis/flip"}
+    assert all(channel.unit and f"[{channel.unit}]" in (channel.plot or f"[{channel.unit}]") for channel in channels)

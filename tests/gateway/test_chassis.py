@@ -53,6 +53,6 @@ def test_drawings_by_hand() -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("top_speed", [0.5, 1.0])
 def test_a_faster_robot_needs_a_faster_loop(name: str, top_speed: float) -> None:
-    limits = ROBOTS[name].loop_limits(top_speed)
+    limits = ROBOTS[name].loop_limits(top_speed, delay=0.004)
     assert [limit.name for limit in limits] == ["compensation"] * (name == "moby")
-    assert all(limit.period == pytest.approx(1.0986 * 0.25 / top_speed, rel=1e-4) for limit in limits)
+    assert all(limit.period == pytest.approx(1.0986 * 0.25 / top_speed - 0.004, rel=1e-4) for limit in limits)

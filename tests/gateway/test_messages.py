@@ -69,6 +69,7 @@ STATUS = Status(
     dropped_records=0,
     cycle=17,
     ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
+    chassis={"region": "pull", "turn_radius": None},
 )
 
 

@@ -30,6 +30,7 @@ STATUS = Status(
     dropped_records=0,
     cycle=0,
     ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
+    chassis={"region": "pull", "turn_radius": None},
 )
 SILENT = STATUS._replace(motors=(MOTOR._replace(state="silent"),))
 DOWN = BusEvent("can0", BusEventKind.DOWN, 1, "no such device")

@@ -1,0 +1,123 @@
+"""The drive law of the offset-differential robot: pulled where that is wanted, slow enough to be followed in a flip.
+
+How this works
+--------------
+setpoint of the body -> turned by the compensation -> slowed for the flip that comes, where nothing corrects it ->
+speeds of the joints (`SpeedLaw`) -> shortened to what the motors can change in a cycle. The setpoint stays what the
+limits made it; what is driven of it goes back as `share`.
+"""
+
+from collections.abc import Sequence
+from math import isinf, sqrt
+from typing import Final
+
+from drivers.contract import CommandKind
+from gateway.control.compensation import Compensation, PathRate, region_at
+from gateway.control.drive_law import JointCommand, Measured, Motion, SpeedLaw
+from gateway.control.pull_region import Pull, examine
+from gateway.control.wheel_acceleration import FlipLimit, pace, within
+from gateway.types import ChassisState, Twist
+
+_CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
+
+
+class OffsetDifferentialLaw:
+    """State owner: correction, path rate, last speeds told."""
+
+    def __init__(
+        self,
+        speeds: SpeedLaw,
+        *,
+        joint: int,
+        axle_offset: float,
+        compensation: Compensation | None,
+        flip: FlipLimit | None,
+        accelerations: Sequence[float] | None,
+    ) -> None:
+        """`joint`: place of the platform joint; `accelerations`: rad/s^2 of each motor, None: no limit of their own."""
+        self._speeds = speeds
+        self._joint = joint
+        self._axle_offset = axle_offset
+        self._compensation = compensation
+        self._flip = flip
+        self._accelerations = None if accelerations is None else tuple(accelerations)
+        self._path_rate = PathRate()
+        self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
+
+    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+        """Commands for this setpoint."""
+        rate = self._path_rate.of(*setpoint, measured.dt)
+        angle = self._speeds.angles_ahead(measured)[self._joint]
+        vx, vy, pull = self._corrected(setpoint, angle, rate, measured.dt)
+        share = self._flip_share(vx, vy, angle, pull)
+        wanted = Twist(vx * share, vy * share, setpoint.wz * share)
+        motion = self._paced(self._speeds.motion(wanted, measured, braking=braking), measured.dt)
+        limits = ("flip", *motion.limits) if share < 1.0 else motion.limits
+        return motion._replace(share=share * motion.share, limits=limits, chassis=self._state(pull))
+
+    def stop(self, measured: Measured) -> Motion:
+        """Every joint braked."""
+        if self._compensation is not None:
+            self._compensation.release()
+        self._told = None
+        return self._speeds.stop(measured)
+
+    def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
+        """It stands when its wheels do."""
+        return self._speeds.moves(measured, turning=turning)
+
+    def may_release(self, measured: Measured) -> bool:
+        """It stands by itself."""
+        return self._speeds.may_release(measured)
+
+    def _corrected(
+        self, setpoint: Twist, angle: float | None, rate: float, dt: float
+    ) -> tuple[float, float, Pull | None]:
+        vx, vy, _ = setpoint
+        if self._compensation is not None:
+            return self._compensation.turn(vx, vy, joint=angle, path_rate=rate, dt=dt)
+        if angle is None:
+            return vx, vy, None
+        return vx, vy, examine(vx, vy, angle=angle, path_rate=rate, axle_offset=self._axle_offset)
+
+    def _flip_share(self, vx: float, vy: float, angle: float | None, pull: Pull | None) -> float:
+        """Of the speed at which the wheels can follow the flip that is coming; 1 where one is being held off."""
+        if self._flip is None or angle is None or pull is None or self._holds(pull, vx, vy):
+            return 1.0
+        speed = sqrt(vx * vx + vy * vy)
+        allowed = self._flip.speed_towards(vx, vy, angle)
+        return allowed / speed if allowed < speed else 1.0
+
+    def _holds(self, pull: Pull, vx: float, vy: float) -> bool:
+        one = self._compensation
+        if one is None or one.gain <= _CORRECTED:
+            return False
+        return abs(pull.error) <= region_at(one.regions, sqrt(vx * vx + vy * vy))
+
+    def _paced(self, motion: Motion, dt: float) -> Motion:
+        """The same within what each motor can change its speed by."""
+        wanted = [command.value for command in motion.commands]
+        before, self._told = self._told, tuple(wanted)
+        if self._accelerations is None or before is None or dt <= 0.0:
+            return motion
+        most = [limit * dt for limit in self._accelerations]
+        share, kept = pace(wanted, before, most)
+        if share >= 1.0 and kept:
+            return motion
+        self._told = tuple(within([speed * share for speed in wanted], before, most))
+        commands = tuple([JointCommand(CommandKind.VELOCITY, speed) for speed in self._told])
+        return Motion(commands, motion.share * share, (*motion.limits, "motor_acceleration"))
+
+    def _state(self, pull: Pull | None) -> ChassisState:
+        turned = 0.0 if self._compensation is None else self._compensation.angle
+        if pull is None:
+            return ChassisState({"region": None, "saturated": None}, (None, None, None, turned, None, None))
+        radius = pull.turn_radius
+        return ChassisState(
+            {"region": pull.region.value, "saturated": pull.saturated, "turn_radius": _finite(radius)},
+            (pull.gamma, pull.goal, pull.error, turned, pull.flip_way, pull.flip_time),
+        )
+
+
+def _finite(number: float | None) -> float | None:
+    return None if number is None or isinf(number) else number
