@@ -120,7 +120,7 @@ class Service:
         after_cycle: Callable[[int, Outputs], None] | None = None,
     ) -> None:
         self._engine = Engine(config)
-        self._channels = Layout(config.robot.motor_names())
+        self._channels = Layout(config.robot)
         self._trace: Trace | None = None  # of the newest cycle
         self._bus = bus
         self._link = link

@@ -4,6 +4,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from gateway.kinematics.contract import Kinematics
 from gateway.sections import Body
+from gateway.types import Rates
 
 Point = tuple[float, float]
 
@@ -41,6 +42,7 @@ class Chassis(Protocol):
     """A section of the robot file with kind, name, body and geometry, frozen."""
 
     GEOMETRY: ClassVar[str]  # the keys of the geometry, in words
+    AXES: ClassVar[tuple[str, ...]]  # of its kinematics; limits of the robot file name each of them
 
     @property
     def kind(self) -> str: ...
@@ -55,6 +57,10 @@ class Chassis(Protocol):
 
     def kinematics(self) -> Kinematics:
         """Its geometry. Raises GeometryError for one that cannot be driven."""
+        ...
+
+    def masses(self) -> Rates:
+        """What a motion along each axis moves: kg for an axis in m/s, kg m^2 for one in rad/s."""
         ...
 
     def drawing(self) -> Drawing:

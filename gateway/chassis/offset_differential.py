@@ -7,6 +7,7 @@ from pydantic import Field
 from gateway.chassis.contract import Drawing, DrawnWheel, LoopLimit
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
 from gateway.sections import Body, Length, Name, Section
+from gateway.types import PLANAR, Rates
 
 # ln(1 + 2/(k - 1)) of the pull-region compensation with k = 2: mirror-image decay (preprints202312.1327, Eq. 23)
 _COMPENSATION = 1.0986122886681098
@@ -28,6 +29,7 @@ class OffsetDifferentialRobot(Section):
     """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
 
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
+    AXES: ClassVar[tuple[str, ...]] = PLANAR
 
     kind: Literal["offset_differential"]
     name: Name
@@ -51,6 +53,10 @@ class OffsetDifferentialRobot(Section):
         return OffsetDifferentialKinematics(
             wheel_radius=self.wheel_radius, axle_offset=self.axle_offset, track=self.track, caster=caster
         )
+
+    def masses(self) -> Rates:
+        """The whole body; that of a chassis below its joint is left out."""
+        return (self.body.mass, self.body.mass, self.body.inertia)
 
     def drawing(self) -> Drawing:
         """The axle lies behind the joint, which is the middle of the body above; both turn against each other."""

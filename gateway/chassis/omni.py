@@ -17,6 +17,7 @@ from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import Drawing, DrawnWheel, LoopLimit
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.sections import Angle, Body, Length, Metres, Name, Section
+from gateway.types import PLANAR, Rates
 
 
 class WheelPose(NamedTuple):
@@ -52,6 +53,7 @@ class OmniRobot(Section):
     """n omni wheels at arbitrary poses."""
 
     GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
+    AXES: ClassVar[tuple[str, ...]] = PLANAR
 
     kind: Literal["omni"]
     name: Name
@@ -65,6 +67,10 @@ class OmniRobot(Section):
     def kinematics(self) -> FixedWheels:
         """From the poses of the wheels."""
         return omni_kinematics([WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel])
+
+    def masses(self) -> Rates:
+        """The whole body."""
+        return (self.body.mass, self.body.mass, self.body.inertia)
 
     def drawing(self) -> Drawing:
         """A wheel rolls at right angles to its axle."""

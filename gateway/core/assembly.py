@@ -55,7 +55,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         law=SpeedLaw(
             kinematics,
             top_speeds=[config.limits.motor_speed[motor.name] for motor in motors],
-            velocity=config.limits.velocity.as_twist(),
+            velocity=config.limits.velocity.as_rates(kinematics.axes),
             period=1.0 / config.loop.rate,
         ),
     )

@@ -32,7 +32,7 @@ State = dict[str, Node]
 # Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
 OWNERS: Mapping[str, frozenset[str]] = {
     "gateway.core.engine.Engine": frozenset(
-        {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
+        {"_kinematics", "_more", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
@@ -51,7 +51,7 @@ OWNERS: Mapping[str, frozenset[str]] = {
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
     "gateway.core.detectors.SlipDetector": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
-        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
+        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
     "gateway.control.drive_law.SpeedLaw": frozenset({"_brakes", "_kinematics", "_period", "_top_speeds", "_velocity"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),

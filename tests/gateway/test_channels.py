@@ -17,8 +17,9 @@ def trace(name: str) -> Trace:
 
 @pytest.mark.parametrize("name", ["moby", "omni4"])
 def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
-    motors = World(name).config.robot.motor_names()
-    layout, seen = Layout(motors), trace(name)
+    robot = World(name).config.robot
+    motors = robot.motor_names()
+    layout, seen = Layout(robot), trace(name)
     assert len(set(layout.labels)) == len(layout.labels) == len(layout.row(seen))
     named = layout.named(seen)
     assert named["x"] == seen.pose.x
@@ -28,16 +29,16 @@ def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
 
 
 def test_the_residual_is_told_of_every_wheel_that_has_one() -> None:
-    motors = World("omni4").config.robot.motor_names()
-    named = Layout(motors).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
-    assert [named[f"residual.{motor}"] for motor in motors] == [0.1, None, -0.1, 0.2]
-    motors = World("moby").config.robot.motor_names()
-    assert [Layout(motors).named(trace("moby"))[f"residual.{motor}"] for motor in motors] == [None] * 3
+    robot = World("omni4").config.robot
+    named = Layout(robot).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
+    assert [named[f"residual.{motor}"] for motor in robot.motor_names()] == [0.1, None, -0.1, 0.2]
+    moby = World("moby").config.robot
+    assert [Layout(moby).named(trace("moby"))[f"residual.{motor}"] for motor in moby.motor_names()] == [None] * 3
 
 
 def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
     seen = trace("moby")._replace(measured=None)
-    layout = Layout(("left", "right", "platform"))
+    layout = Layout(World("moby").config.robot)
     assert [layout.named(seen)[f"{axis}_measured"] for axis in ("vx", "vy", "wz")] == [None] * 3
     assert len(layout.row(seen)) == len(layout.labels)
 
@@ -48,8 +49,9 @@ def test_no_part_of_the_trace_is_left_out() -> None:
         def __init__(self) -> None:
             self.names: set[str] = set()
 
-        def __getattr__(self, name: str) -> None:
+        def __getattr__(self, name: str) -> tuple[()]:
             self.names.add(name)
+            return ()
 
     noted = Noted()
     for channel in ALL:
