@@ -1,15 +1,15 @@
 """The robot file: TOML, everything in SI, unknown keys rejected. What people type is checked here, once."""
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from gateway.chassis import AnyRobot
 from gateway.sections import Limit, Name, NonNegative, Positive, Rate, Section
-from gateway.types import Twist
+from gateway.types import PLANAR, Rates, Twist
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
 _File = TypeVar("_File", bound=BaseModel)
@@ -37,7 +37,13 @@ class ConfigError(ValueError):
 
 
 class Axes(Section):
-    """One number per body axis: vx and vy in m, wz in rad (per s, s^2 or s^3)."""
+    """One number per axis of the body: vx and vy in m, wz in rad (per s, s^2 or s^3); and of what axes it has more.
+
+    Which those are `RobotConfig` asks the chassis.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Limit]
 
     vx: Limit
     vy: Limit
@@ -46,6 +52,10 @@ class Axes(Section):
     def as_twist(self) -> Twist:
         """The three numbers in the order of the core."""
         return Twist(self.vx, self.vy, self.wz)
+
+    def as_rates(self, axes: Sequence[str]) -> Rates:
+        """Those of these axes, vx, vy and wz first."""
+        return (*self.as_twist(), *[self.__pydantic_extra__[axis] for axis in axes[len(PLANAR) :]])
 
 
 class Loop(Section):
@@ -61,13 +71,14 @@ class Limits(Section):
     motor_speed: dict[Name, Limit]
     motor_acceleration: dict[Name, Limit] | None = None
 
-    def as_stopping(self) -> dict[str, Twist]:
+    def axes(self) -> dict[str, Axes]:
+        """The limits of the body by key."""
+        return {"velocity": self.velocity, "acceleration": self.acceleration, "jerk": self.jerk}
+
+    def as_stopping(self) -> dict[str, Rates]:
         """What the time and the way to rest follow from."""
-        return {
-            "velocity": self.velocity.as_twist(),
-            "acceleration": self.acceleration.as_twist(),
-            "jerk": self.jerk.as_twist(),
-        }
+        axes = (*PLANAR, *sorted(self.velocity.__pydantic_extra__))
+        return {key: limits.as_rates(axes) for key, limits in self.axes().items()}
 
 
 class Stop(Section):
@@ -218,6 +229,8 @@ class RobotConfig(Section):
         problems += _shared_channels(self.bus)
         problems += _duplicates("commands.source.name", (source.name for source in self.commands.source))
         problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
+        for key, limits in self.limits.axes().items():
+            problems += _other_axes(f"limits.{key}", limits.__pydantic_extra__, self.robot.AXES)
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
         problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
         if self.limits.motor_acceleration is not None:
@@ -303,6 +316,15 @@ def _shared_channels(buses: Iterable[Bus]) -> list[str]:
                 f"bus {bus.name}: {channel}: already the channel of bus {owner}; give both motors one [[bus]]"
             )
     return problems
+
+
+def _other_axes(key: str, given: Iterable[str], axes: Sequence[str]) -> list[str]:
+    """What limits name beyond the twist, against what the chassis has."""
+    more = axes[len(PLANAR) :]
+    problems = [
+        f"{key}.{axis}: no axis of this chassis; it has {', '.join(axes)}" for axis in given if axis not in more
+    ]
+    return problems + [f"{key}.{axis}: missing, the chassis has this axis" for axis in more if axis not in given]
 
 
 def _mismatch(key: str, given: Iterable[str], motors: Iterable[str]) -> list[str]:

@@ -30,6 +30,11 @@ class Pose(NamedTuple):
     theta: float
 
 
+# One number per axis of the body, in the order in which the kinematics names them: those of a Twist, and what a chassis
+# may have more, in m/s or rad/s. A Twist is one of a chassis that has no more.
+Rates = tuple[float, ...]
+PLANAR: tuple[str, ...] = Twist._fields
+
 ZERO_TWIST = Twist(0.0, 0.0, 0.0)
 NO_DISPLACEMENT = Displacement(0.0, 0.0, 0.0)
 
@@ -256,6 +261,14 @@ class Status(NamedTuple):
     chassis: dict[str, float | str | bool | None]  # what only this kind of chassis knows of itself
 
 
+class AxisTrace(NamedTuple):
+    """One axis of the body beyond its twist; None: not measurable now."""
+
+    target: float
+    setpoint: float
+    measured: float | None
+
+
 class Trace(NamedTuple):
     """One cycle for plots; None where there was nothing to measure. Not compared by verify."""
 
@@ -270,6 +283,7 @@ class Trace(NamedTuple):
     residual: float | None
     residuals: tuple[float | None, ...] | None  # m/s at the rim of each wheel; None where they carry no redundancy
     chassis: tuple[float | None, ...] = ()  # by the channels of its kind
+    more: tuple[AxisTrace, ...] = ()  # axes of the kinematics beyond the twist
 
 
 class Outputs(NamedTuple):

@@ -27,7 +27,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"ground"},
-    "gateway/chassis": {"ground", "gateway/kinematics"},
+    "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/chassis", "robot file", "gateway/control"},

@@ -7,7 +7,7 @@ from gateway.control.drive_law import DriveLaw
 from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Body
-from gateway.types import Twist
+from gateway.types import Rates
 
 Point = tuple[float, float]
 
@@ -60,8 +60,8 @@ class LawParts(NamedTuple):
     kinematics: Kinematics
     top_speeds: tuple[float, ...]  # rad/s at the output
     accelerations: tuple[float, ...] | None  # rad/s^2; None: no limit of their own
-    velocity: Twist  # limits of the body
-    acceleration: Twist
+    velocity: Rates  # limits of the body
+    acceleration: Rates
     period: float  # s
 
 
@@ -70,6 +70,7 @@ class Chassis(Protocol):
 
     GEOMETRY: ClassVar[str]  # the keys of the geometry, in words
     CHANNELS: ClassVar[tuple[ChassisChannels, ...]]
+    AXES: ClassVar[tuple[str, ...]]  # of its kinematics; limits of the robot file name each of them
 
     @property
     def kind(self) -> str: ...
@@ -88,6 +89,10 @@ class Chassis(Protocol):
 
     def law(self, parts: LawParts) -> DriveLaw:
         """How it drives."""
+        ...
+
+    def masses(self) -> Rates:
+        """What a motion along each axis moves: kg for an axis in m/s, kg m^2 for one in rad/s."""
         ...
 
     def inertia(self, angles: Sequence[float]) -> Matrix:

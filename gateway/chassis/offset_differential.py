@@ -15,7 +15,7 @@ from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
 from gateway.sections import Body, Length, Name, Section
-from gateway.types import Twist
+from gateway.types import PLANAR, Rates
 
 _MIRROR: Final = 2.0  # gain of the mirror image (preprints202312.1327, Eq. 23)
 _AUTHORITY: Final = 12.0  # m/s^2 across the motion where the motors have no limit of their own; source: ours
@@ -89,6 +89,7 @@ class OffsetDifferentialRobot(Section):
         ChassisChannels("flip", ("flip_way", "flip_time"), "m, s", "Until the chassis flips [m, s]"),
     )
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
+    AXES: ClassVar[tuple[str, ...]] = PLANAR
 
     kind: Literal["offset_differential"]
     name: Name
@@ -139,7 +140,7 @@ class OffsetDifferentialRobot(Section):
         lever = self.track / (2.0 * self.axle_offset)
         return min(min(left, right) * self.wheel_radius / sqrt(1.0 + lever * lever), joint * self.axle_offset)
 
-    def _flip_limit(self, accelerations: Sequence[float], body: Twist) -> FlipLimit:
+    def _flip_limit(self, accelerations: Sequence[float], body: Rates) -> FlipLimit:
         left, right, joint = accelerations
         return FlipLimit(
             wheel_radius=self.wheel_radius,
@@ -147,7 +148,7 @@ class OffsetDifferentialRobot(Section):
             track=self.track,
             wheel_acceleration=min(left, right),
             joint_acceleration=joint,
-            braking=min(body.vx, body.vy),
+            braking=min(body[0], body[1]),
         )
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
@@ -160,6 +161,10 @@ class OffsetDifferentialRobot(Section):
             (mixed, mass + turning * c * c, 0.0),
             (0.0, 0.0, self.body.inertia),
         )
+
+    def masses(self) -> Rates:
+        """The whole body; that of a chassis below its joint is left out."""
+        return (self.body.mass, self.body.mass, self.body.inertia)
 
     def drawing(self) -> Drawing:
         """The axle lies behind the joint, which is the middle of the body above; both turn against each other."""

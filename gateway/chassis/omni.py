@@ -19,6 +19,7 @@ from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Angle, Body, Length, Metres, Name, Section
+from gateway.types import PLANAR, Rates
 
 
 class WheelPose(NamedTuple):
@@ -55,6 +56,7 @@ class OmniRobot(Section):
 
     CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = ()
     GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
+    AXES: ClassVar[tuple[str, ...]] = PLANAR
 
     kind: Literal["omni"]
     name: Name
@@ -77,6 +79,10 @@ class OmniRobot(Section):
         """One rigid body."""
         mass = self.body.mass
         return (mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, self.body.inertia)
+
+    def masses(self) -> Rates:
+        """The whole body."""
+        return (self.body.mass, self.body.mass, self.body.inertia)
 
     def drawing(self) -> Drawing:
         """A wheel rolls at right angles to its axle."""

@@ -35,8 +35,8 @@ def _document(report: Examination) -> dict[str, object]:
     return {
         "valid": True,
         **report._asdict(),
-        "top_speeds": report.top_speeds._asdict(),
-        "reachable": report.reachable._asdict(),
+        "top_speeds": dict(zip(report.axes, report.top_speeds, strict=True)),
+        "reachable": dict(zip(report.axes, report.reachable, strict=True)),
         "loop_limits": [limit._asdict() for limit in report.loop_limits],
         "buses": [bus._asdict() for bus in report.buses],
     }
@@ -45,8 +45,8 @@ def _document(report: Examination) -> dict[str, object]:
 def _show(report: Examination) -> None:
     table = Table("what", "value", title=f"{report.robot} ({report.kind}, {report.motors} motors)")
     table.add_row("wheel matrix", f"rank {report.rank}, condition {report.condition:.3g}")
-    for axis, unit in (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s")):
-        possible, used = getattr(report.top_speeds, axis), getattr(report.reachable, axis)
+    for axis, possible, used in zip(report.axes, report.top_speeds, report.reachable, strict=True):
+        unit = "rad/s" if axis == "wz" else "m/s"
         table.add_row(f"top speed {axis}", f"{used:.3g} {unit} (motors alone: {possible:.3g})")
     stop = f"at most {report.stopping_time_s:.2f} s and {report.stopping_distance_m:.2f} m"
     table.add_row("stop from top speed", stop)

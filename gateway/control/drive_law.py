@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, ChassisState, Twist
+from gateway.types import NO_STATE, ChassisState, Rates
 
 
 class Measured(NamedTuple):
@@ -62,7 +62,7 @@ class DriveLaw(Protocol):
     In each cycle one of `motion` and `stop` is called, once. What neither may command is decided elsewhere.
     """
 
-    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
         ...
 
@@ -86,7 +86,7 @@ class SpeedLaw:
     the setpoint does; once that has begun on the way to rest it stays so, because an angle that comes back is a step.
     """
 
-    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float], velocity: Twist, period: float) -> None:
+    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float], velocity: Rates, period: float) -> None:
         self._kinematics = kinematics
         self._top_speeds = tuple(top_speeds)
         self._velocity = velocity  # limits of the body
@@ -95,7 +95,7 @@ class SpeedLaw:
         self._blind = False
         self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
 
-    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""
         self._blind = self._blind and braking
         speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self.angles_ahead(measured))
@@ -105,7 +105,7 @@ class SpeedLaw:
         share = desaturate(speeds, self._top_speeds)
         limits: tuple[str, ...] = ()
         if share < 1.0:
-            setpoint = Twist(*[axis * share for axis in setpoint])
+            setpoint = tuple([axis * share for axis in setpoint])
             speeds, limits = [speed * share for speed in speeds], ("motor_speed",)
         self._ramp = excess(setpoint, self._velocity), speeds
         return Motion(_velocities(speeds), share, limits)
@@ -134,7 +134,7 @@ class SpeedLaw:
                 angles[index] = angle + speed * (age_ns * 1e-9 + self._period)
         return angles
 
-    def _in_proportion(self, setpoint: Twist) -> list[float]:
+    def _in_proportion(self, setpoint: Rates) -> list[float]:
         """The last speeds known, all in the proportion in which the setpoint fell."""
         size, speeds = self._ramp
         factor = excess(setpoint, self._velocity) / size if size > 0.0 else 0.0

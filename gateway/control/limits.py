@@ -1,4 +1,4 @@
-"""Velocity, acceleration and jerk limits of the body twist; each scales the whole vector, so direction is kept.
+"""Velocity, acceleration and jerk limits of the body in every axis; each scales the whole vector: direction is kept.
 
 How this works
 --------------
@@ -12,40 +12,49 @@ The acceleration vector then turns and grows no faster than the jerk limits allo
 What the floor feels is dv/dt + w x v: whoever drives a curve accelerates. So a twist may turn only as fast as its
 w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what w x v leaves of them. The set of such
 twists is not convex: where the straight line would leave it, the rates that must fall go first (`_beside`).
+Axes beyond the twist (`Rates`) accelerate nothing but themselves.
 """
 
 from math import ceil, sqrt
 from typing import Final
 
-from gateway.types import ZERO_TWIST, Twist
+from gateway.arithmetic import dot
+from gateway.types import PLANAR, Rates, Twist
 
 TURNING_SHARE: Final = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
 _TURNING_DELAY: Final = 1.4461490724592034  # atanh(sqrt(k))/sqrt(k), k = TURNING_SHARE: see `stopping_time`
 LEAST_SHARE: Final = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
 _ROUNDING: Final = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
+_UNROLLED: Final = len(PLANAR)  # most robots have no more axes, and loops over so few cost twice as much
 _LINE_TOLERANCE: Final = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
 
 
-def excess(vector: Twist, limits: Twist) -> float:
+def excess(vector: Rates, limits: Rates) -> float:
     """How many times the limit the worst axis takes."""
-    x, y, z = vector
-    limit_x, limit_y, limit_z = limits
-    return max(abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z)
+    if len(vector) == _UNROLLED:
+        x, y, z = vector
+        limit_x, limit_y, limit_z = limits
+        return max(abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z)
+    worst = 0.0
+    for value, limit in zip(vector, limits, strict=True):
+        share = abs(value) / limit
+        worst = max(worst, share)
+    return worst
 
 
-def scale_to(vector: Twist, limits: Twist) -> Twist:
+def scale_to(vector: Rates, limits: Rates) -> Rates:
     """The vector, shortened until every axis is within its limit."""
     worst = excess(vector, limits)
     return vector if worst <= 1.0 else _scaled(vector, 1.0 / worst)
 
 
-def turning_excess(twist: Twist, acceleration: Twist) -> float:
+def turning_excess(rates: Rates, acceleration: Rates) -> float:
     """How many times the share for turning the acceleration w x v of a steady twist takes, in its worst axis."""
-    vx, vy, wz = twist
-    return abs(wz) * max(abs(vy) / acceleration.vx, abs(vx) / acceleration.vy) / TURNING_SHARE
+    vx, vy, wz = rates[0], rates[1], rates[2]
+    return abs(wz) * max(abs(vy) / acceleration[0], abs(vx) / acceleration[1]) / TURNING_SHARE
 
 
-def stopping_time(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
+def stopping_time(*, velocity: Rates, acceleration: Rates, jerk: Rates) -> float:
     """Longest time to rest from any twist within the limits, s; an upper bound.
 
     Straight on it is L + 1/rho, or 2 sqrt(L/rho) where full acceleration is never reached. In a curve w x v takes up
@@ -56,57 +65,65 @@ def stopping_time(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float
     return straight * _TURNING_DELAY
 
 
-def stopping_distance(*, velocity: Twist, acceleration: Twist, jerk: Twist) -> float:
+def stopping_distance(*, velocity: Rates, acceleration: Rates, jerk: Rates) -> float:
     """Longest way of the origin until rest from any twist within the limits, m; an upper bound.
 
     Straight on the speed falls along a ramp symmetric about its middle: half of top speed times the time.
     In a curve braking begins more slowly than it ends, by no more than the factor of `stopping_time` again.
     """
-    fastest = sqrt(velocity.vx * velocity.vx + velocity.vy * velocity.vy)
+    fastest = sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
     return 0.5 * fastest * stopping_time(velocity=velocity, acceleration=acceleration, jerk=jerk)
 
 
 class TwistLimiter:
-    """The moving setpoint: position (a twist) and rate (its acceleration)."""
+    """The moving setpoint: position (`rates`, of every axis that has limits) and rate (its acceleration)."""
 
-    def __init__(self, *, velocity: Twist, acceleration: Twist, jerk: Twist) -> None:
+    def __init__(self, *, velocity: Rates, acceleration: Rates, jerk: Rates) -> None:
         self._velocity = velocity
         self._acceleration = acceleration
         self._jerk = jerk
         self._rho = _slope(acceleration, jerk)
-        self._turn_x = TURNING_SHARE * acceleration.vy  # of |wz vx|, which accelerates along y
-        self._turn_y = TURNING_SHARE * acceleration.vx
-        self.setpoint = ZERO_TWIST
-        self._rate = ZERO_TWIST
+        self._turn_x = TURNING_SHARE * acceleration[1]  # of |wz vx|, which accelerates along y
+        self._turn_y = TURNING_SHARE * acceleration[0]
+        self._zero: Rates = (0.0,) * len(velocity)
+        self.rates = self._zero
+        self._rate = self._zero
+
+    @property
+    def setpoint(self) -> Twist:
+        """What of it moves the body in its plane."""
+        vx, vy, wz = self.rates[:3]
+        return Twist(vx, vy, wz)
 
     @property
     def at_rest(self) -> bool:
         """Whether the setpoint is exactly zero."""
-        return self.setpoint == ZERO_TWIST
+        return self.rates == self._zero
 
-    def reset(self, setpoint: Twist = ZERO_TWIST) -> None:
-        """Start over from a known motion."""
-        self.setpoint = setpoint
-        self._rate = ZERO_TWIST
+    def reset(self, rates: Rates | None = None) -> None:
+        """Start over from a known motion; None: rest."""
+        self.rates = self._zero if rates is None else rates
+        self._rate = self._zero
 
     def scale(self, factor: float) -> None:
         """A later limit shortened the setpoint: continue from what is really driven."""
-        self.setpoint = _scaled(self.setpoint, factor)
+        self.rates = _scaled(self.rates, factor)
         self._rate = _scaled(self._rate, factor)
 
     def step(
-        self, target: Twist, dt: float, *, effort: float = 1.0, headroom: float = 1.0
-    ) -> tuple[Twist, tuple[str, ...]]:
+        self, target: Twist, dt: float, *, more: Rates = (), effort: float = 1.0, headroom: float = 1.0
+    ) -> tuple[Rates, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
+        `more`: the target of the axes beyond the twist, as many as there are.
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
         `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
         is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
         """
-        wanted, active = self._holdable(target)
-        if dt <= 0.0 or (wanted == self.setpoint and self._rate == ZERO_TWIST):
-            return self.setpoint, active
-        before = self.setpoint
+        wanted, active = self._holdable((*target, *more) if more else target)
+        before = self.rates
+        if dt <= 0.0 or (wanted == before and self._rate == self._zero):
+            return before, active
         aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
         way = _sum(aim, before, -1.0)
         if self._arrives(way, dt):
@@ -117,45 +134,48 @@ class TwistLimiter:
             active = (*active, "acceleration")
         if headroom < 1.0 and _grows(before, after):
             after = self._hold_back(before, after, headroom)
-        self.setpoint = after
+        self.rates = after
         return after, active
 
-    def _hold_back(self, before: Twist, after: Twist, headroom: float) -> Twist:
+    def _hold_back(self, before: Rates, after: Rates, headroom: float) -> Rates:
         """The step with this much of every axis that grows."""
         shares = [headroom if abs(new) > abs(old) else 1.0 for old, new in zip(before, after, strict=True)]
-        self._rate = Twist(*[rate * share for rate, share in zip(self._rate, shares, strict=True)])
-        return Twist(*[old + share * (new - old) for old, new, share in zip(before, after, shares, strict=True)])
+        self._rate = tuple([rate * share for rate, share in zip(self._rate, shares, strict=True)])
+        return tuple([old + share * (new - old) for old, new, share in zip(before, after, shares, strict=True)])
 
-    def brake(self, dt: float) -> Twist:
+    def brake(self, dt: float) -> Rates:
         """Setpoint after dt seconds on its way to rest along its own direction: no axis ever grows.
 
         A rate that led elsewhere is dropped at once; what it had of slowing down is kept.
         """
-        x, y, z = self.setpoint
-        limit_x, limit_y, limit_z = self._acceleration
-        along_x, along_y, along_z = x / limit_x, y / limit_y, z / limit_z
-        square = along_x * along_x + along_y * along_y + along_z * along_z
+        along = tuple([value / limit for value, limit in zip(self.rates, self._acceleration, strict=True)])
+        square = dot(along, along)
         if dt <= 0.0 or square == 0.0:
             if square == 0.0:
                 self.reset()
-            return self.setpoint
-        a, b, c = self._rate
-        falling = -(along_x * a / limit_x + along_y * b / limit_y + along_z * c / limit_z) / square  # 1/s
-        self._rate = _scaled(self.setpoint, -max(0.0, falling))
-        way = _scaled(self.setpoint, -1.0)
+            return self.rates
+        falling = -self._rate_along(along) / square  # 1/s
+        self._rate = _scaled(self.rates, -max(0.0, falling))
+        way = _scaled(self.rates, -1.0)
         if self._arrives(way, dt):
             self.reset()
-            return self.setpoint
+            return self.rates
         self._turn_rate(way, dt, effort=1.0)
-        a, b, c = self._rate
-        left = 1.0 + dt * (along_x * a / limit_x + along_y * b / limit_y + along_z * c / limit_z) / square
+        left = 1.0 + dt * self._rate_along(along) / square
         if left <= 0.0:
             self.reset()
-            return self.setpoint
-        self.setpoint = _scaled(self.setpoint, min(left, 1.0))
-        return self.setpoint
+            return self.rates
+        self.rates = _scaled(self.rates, min(left, 1.0))
+        return self.rates
 
-    def _holdable(self, target: Twist) -> tuple[Twist, tuple[str, ...]]:
+    def _rate_along(self, direction: Rates) -> float:
+        """The rate in units of the acceleration limits, along such a direction."""
+        total = 0.0
+        for part, rate, limit in zip(direction, self._rate, self._acceleration, strict=True):
+            total += part * rate / limit
+        return total
+
+    def _holdable(self, target: Rates) -> tuple[Rates, tuple[str, ...]]:
         """The target within top speed and turning limit, and which of them shortened it."""
         wanted = scale_to(target, self._velocity)
         active: tuple[str, ...] = () if wanted is target else ("velocity",)
@@ -164,26 +184,28 @@ class TwistLimiter:
             return wanted, active
         return _scaled(wanted, 1.0 / sqrt(turning)), (*active, "turning")
 
-    def _line_leaves(self, wanted: Twist) -> bool:
+    def _line_leaves(self, wanted: Rates) -> bool:
         """Whether the straight line to a holdable twist passes through twists that are not."""
-        vx, vy, wz = self.setpoint
+        vx, vy, wz = self.rates[:3]
+        to_vx, to_vy, to_wz = wanted[:3]
         return (
-            _peak(wz, wanted.wz, vx, wanted.vx) > _LINE_TOLERANCE * self._turn_x
-            or _peak(wz, wanted.wz, vy, wanted.vy) > _LINE_TOLERANCE * self._turn_y
+            _peak(wz, to_wz, vx, to_vx) > _LINE_TOLERANCE * self._turn_x
+            or _peak(wz, to_wz, vy, to_vy) > _LINE_TOLERANCE * self._turn_y
         )
 
-    def _beside(self, wanted: Twist) -> Twist:
+    def _beside(self, wanted: Rates) -> Rates:
         """What of the wanted twist the present turning limit allows: each of speed and turn, the other as it is."""
-        vx, vy, wz = self.setpoint
+        vx, vy, wz = self.rates[:3]
+        to_vx, to_vy, to_wz = wanted[:3]
         turn = min(_quotient(self._turn_x, abs(vx)), _quotient(self._turn_y, abs(vy)))
         speed = min(
             1.0,
-            _quotient(_quotient(self._turn_x, abs(wz)), abs(wanted.vx)),
-            _quotient(_quotient(self._turn_y, abs(wz)), abs(wanted.vy)),
+            _quotient(_quotient(self._turn_x, abs(wz)), abs(to_vx)),
+            _quotient(_quotient(self._turn_y, abs(wz)), abs(to_vy)),
         )
-        return Twist(wanted.vx * speed, wanted.vy * speed, max(-turn, min(turn, wanted.wz)))
+        return (to_vx * speed, to_vy * speed, max(-turn, min(turn, to_wz)), *wanted[3:])
 
-    def _arrives(self, way: Twist, dt: float) -> bool:
+    def _arrives(self, way: Rates, dt: float) -> bool:
         """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
         if excess(way, self._acceleration) > dt:
             return False
@@ -191,18 +213,18 @@ class TwistLimiter:
         change = _sum(rate, self._rate, -1.0)
         return excess(rate, self._jerk) <= dt and excess(change, self._jerk) <= dt * _ROUNDING
 
-    def _turn_rate(self, way: Twist, dt: float, effort: float) -> None:
+    def _turn_rate(self, way: Rates, dt: float, effort: float) -> None:
         length = excess(way, self._spare(way)) / effort
         gain = min(1.0, self._landing_rate(length / dt, self._rho * dt)) / length if length > 0.0 else 0.0
         change = _sum(_scaled(way, gain), self._rate, -1.0)
         worst = excess(change, self._jerk) / dt
         self._rate = _sum(self._rate, change, 1.0 / worst if worst > 1.0 else 1.0)
 
-    def _spare(self, way: Twist) -> Twist:
+    def _spare(self, way: Rates) -> Rates:
         """What turning leaves of the acceleration limits in the direction of the way."""
-        vx, vy, wz = self.setpoint
-        limit_x, limit_y, limit_z = self._acceleration
-        return Twist(_left(limit_x, -wz * vy, way.vx), _left(limit_y, wz * vx, way.vy), limit_z)
+        vx, vy, wz = self.rates[:3]
+        limits = self._acceleration
+        return (_left(limits[0], -wz * vy, way[0]), _left(limits[1], wz * vx, way[1]), *limits[2:])
 
     @staticmethod
     def _landing_rate(way: float, fall: float) -> float:
@@ -211,7 +233,7 @@ class TwistLimiter:
         return way / steps + fall * (steps - 1) / 2.0
 
 
-def _slope(acceleration: Twist, jerk: Twist) -> float:
+def _slope(acceleration: Rates, jerk: Rates) -> float:
     """The jerk limit in units of the acceleration limits, 1/s; the slowest axis counts."""
     return min(j / a for j, a in zip(jerk, acceleration, strict=True))
 
@@ -235,17 +257,21 @@ def _quotient(value: float, divisor: float) -> float:
     return value / divisor if divisor > 1e-9 else 1e9
 
 
-def _grows(before: Twist, after: Twist) -> bool:
+def _grows(before: Rates, after: Rates) -> bool:
     return any(abs(new) > abs(old) for old, new in zip(before, after, strict=True))
 
 
-def _scaled(vector: Twist, factor: float) -> Twist:
-    x, y, z = vector
-    return Twist(x * factor, y * factor, z * factor)
+def _scaled(vector: Rates, factor: float) -> Rates:
+    if len(vector) == _UNROLLED:
+        x, y, z = vector
+        return (x * factor, y * factor, z * factor)
+    return tuple([value * factor for value in vector])
 
 
-def _sum(vector: Twist, other: Twist, factor: float) -> Twist:
+def _sum(vector: Rates, other: Rates, factor: float) -> Rates:
     """vector + factor * other"""
-    x, y, z = vector
-    other_x, other_y, other_z = other
-    return Twist(x + factor * other_x, y + factor * other_y, z + factor * other_z)
+    if len(vector) == _UNROLLED:
+        x, y, z = vector
+        other_x, other_y, other_z = other
+        return (x + factor * other_x, y + factor * other_y, z + factor * other_z)
+    return tuple([one + factor * two for one, two in zip(vector, other, strict=True)])

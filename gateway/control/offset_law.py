@@ -16,7 +16,7 @@ from gateway.control.compensation import Compensation, PathRate, region_at
 from gateway.control.drive_law import JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, examine
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
-from gateway.types import ChassisState, Twist
+from gateway.types import ChassisState, Rates
 
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
 
@@ -44,13 +44,14 @@ class OffsetDifferentialLaw:
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
 
-    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""
-        rate = self._path_rate.of(*setpoint, measured.dt)
+        vx, vy, wz = setpoint
+        rate = self._path_rate.of(vx, vy, wz, measured.dt)
         angle = self._speeds.angles_ahead(measured)[self._joint]
-        vx, vy, pull = self._corrected(setpoint, angle, rate, measured.dt)
+        vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
         share = self._flip_share(vx, vy, angle, pull)
-        wanted = Twist(vx * share, vy * share, setpoint.wz * share)
+        wanted = (vx * share, vy * share, wz * share)
         motion = self._paced(self._speeds.motion(wanted, measured, braking=braking), measured.dt)
         limits = ("flip", *motion.limits) if share < 1.0 else motion.limits
         return motion._replace(share=share * motion.share, limits=limits, chassis=self._state(pull))
@@ -71,9 +72,8 @@ class OffsetDifferentialLaw:
         return self._speeds.may_release(measured)
 
     def _corrected(
-        self, setpoint: Twist, angle: float | None, rate: float, dt: float
+        self, vx: float, vy: float, angle: float | None, rate: float, dt: float
     ) -> tuple[float, float, Pull | None]:
-        vx, vy, _ = setpoint
         if self._compensation is not None:
             return self._compensation.turn(vx, vy, joint=angle, path_rate=rate, dt=dt)
         if angle is None:

@@ -20,7 +20,7 @@ from gateway.core.health import Health
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.linear import Matrix, Vector
 from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
-from gateway.types import AbilityStatus, Twist
+from gateway.types import PLANAR, AbilityStatus, Rates, Twist
 
 LIMP: Final = "limp"
 _HELD: Final = "held"
@@ -37,11 +37,11 @@ class Ability(NamedTuple):
     speed: float
     rows: Matrix = ()
 
-    def target(self, wanted: Twist, velocity: Twist) -> Twist:
+    def target(self, wanted: Rates, velocity: Rates) -> Rates:
         """The nearest to what is wanted that can be driven, within this ability's share of the velocity limits."""
         if self.reach is None:
             return wanted
-        return scale_to(Twist(*self.reach.nearest(wanted)), Twist(*[axis * self.speed for axis in velocity]))
+        return scale_to(self.reach.nearest(wanted), tuple([axis * self.speed for axis in velocity]))
 
 
 FULL: Final = Ability(None, 1.0, 1.0)
@@ -57,7 +57,7 @@ class Abilities:
         self._chassis = config.robot
         self._torques = tuple(limits.torque for limits in robot.limits)
         self._speeds = tuple(limits.speed for limits in robot.limits)
-        self._velocity = config.limits.velocity.as_twist()
+        self._velocity = config.limits.velocity.as_rates(robot.kinematics.axes)
         self._lost_use = tuple(JointUse.HELD if motor.when_lost == _HELD else JointUse.FREE for motor in motors)
         self._policy = config.degraded
 
@@ -81,7 +81,7 @@ class Abilities:
         if ability is None:
             return NOTHING_LEFT
         if ability.reach is None:
-            return AbilityStatus(len(Twist._fields), ability.effort, ability.speed, (), ())
+            return AbilityStatus(len(self._kinematics.axes), ability.effort, ability.speed, (), ())
         left, lost = ability.reach.basis, ability.reach.lost
         return AbilityStatus(
             rank=len(left),
@@ -116,7 +116,7 @@ class Abilities:
     def _furthest(self, way: Vector, ability: Ability) -> Twist:
         """The longest twist along this way within the limits of body and motors, its largest part positive."""
         sign = 1.0 if max(way, key=abs) > 0.0 else -1.0
-        size = excess(Twist(*way), self._velocity)
+        size = excess(way, self._velocity)
         twist = [part * sign * ability.speed / size for part in way]
         factor = desaturate([dot(row, twist) for row in ability.rows], self._speeds)
-        return Twist(*[part * factor for part in twist])
+        return Twist(*[part * factor for part in twist[: len(PLANAR)]])

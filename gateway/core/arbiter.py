@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from gateway.config import Source
-from gateway.types import ZERO_TWIST, SourceStatus, TwistCommand
+from gateway.core.targets import is_zero
+from gateway.types import SourceStatus, TwistCommand
 
 LONGEST_DIP_NS: Final = 2_000_000_000  # a link that stalls, a process that swaps; source: ours
 
@@ -47,7 +48,7 @@ class Arbiter:
         if self._starts_over(command, self._latest.get(name)):
             self._admitted.discard(name)
         since = self._dismissed_ns
-        if command.twist == ZERO_TWIST and (since is None or command.received_ns > since):
+        if is_zero(command) and (since is None or command.received_ns > since):
             self._admitted.add(name)
         self._latest[name] = command
 
@@ -58,7 +59,7 @@ class Arbiter:
 
     def dismiss_moving(self) -> None:
         """Nothing has started: who asks for motion all the same has to send zero again."""
-        self._admitted = {name for name in self._admitted if self._latest[name].twist == ZERO_TWIST}
+        self._admitted = {name for name in self._admitted if is_zero(self._latest[name])}
 
     def select(self, now_ns: int) -> Selection:
         """The source that drives at this moment."""
@@ -71,7 +72,7 @@ class Arbiter:
     def moving(self, now_ns: int) -> TwistCommand | None:
         """A fresh command of any source, whether it may drive or not, that asks for motion."""
         for command in self._latest.values():
-            if command.twist != ZERO_TWIST and self._fresh(command, now_ns):
+            if not is_zero(command) and self._fresh(command, now_ns):
                 return command
         return None
 

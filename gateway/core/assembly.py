@@ -67,8 +67,8 @@ def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
         kinematics=kinematics,
         top_speeds=tuple(limits.motor_speed[name] for name in names),
         accelerations=None if accelerations is None else tuple(accelerations[name] for name in names),
-        velocity=limits.velocity.as_twist(),
-        acceleration=limits.acceleration.as_twist(),
+        velocity=limits.velocity.as_rates(kinematics.axes),
+        acceleration=limits.acceleration.as_rates(kinematics.axes),
         period=1.0 / config.loop.rate,
     )
 

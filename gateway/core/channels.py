@@ -13,11 +13,10 @@ from gateway.types import Trace
 
 Numbers = Sequence[float | None]
 
-AXES: Final = ("vx", "vy", "wz")
-
 
 class Channel(NamedTuple):
-    """One number or several of a kind. A name that ends in a dot is followed by the name of each motor.
+    """One number or several of a kind. A name that ends in a dot is followed by the name of each motor, one that begins
+    with an underscore follows that of each axis.
 
     `entity`: where it is in the recording, several may share one; `plot`: the view that shows it, "" for none.
     `asked`: what was wanted and not what was measured, which is drawn beneath it.
@@ -30,10 +29,12 @@ class Channel(NamedTuple):
     read: Callable[[Trace], Numbers | None]
     asked: bool = False
 
-    def labels(self, motors: Sequence[str]) -> list[str]:
+    def labels(self, robot: Chassis) -> list[str]:
         """One name per number, motors in chassis order."""
         (first, *_) = self.names
-        return [f"{first}{motor}" for motor in motors] if first.endswith(".") else list(self.names)
+        if first.startswith("_"):
+            return [f"{axis}{first}" for axis in robot.AXES]
+        return [f"{first}{motor}" for motor in robot.motor_names()] if first.endswith(".") else list(self.names)
 
     def numbers(self, trace: Trace, size: int) -> Numbers:
         """As many numbers as there are labels, None where something is unknown or released."""
@@ -41,17 +42,25 @@ class Channel(NamedTuple):
         return (None,) * size if found is None else found
 
 
-def _of_axes(what: str) -> tuple[str, ...]:
-    return tuple(f"{axis}_{what}" for axis in AXES)
+def _targets(trace: Trace) -> Numbers:
+    return (*trace.target, *[axis.target for axis in trace.more])
+
+
+def _setpoints(trace: Trace) -> Numbers:
+    return (*trace.setpoint, *[axis.setpoint for axis in trace.more])
+
+
+def _measured(trace: Trace) -> Numbers | None:
+    return None if trace.measured is None else (*trace.measured, *[axis.measured for axis in trace.more])
 
 
 VELOCITY, WHEELS = "Body velocity [m/s, rad/s]", "Wheel speeds [rad/s]"
 CHANNELS: Final = (
     Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True),
     Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds),
-    Channel("twist/target", _of_axes("wanted"), "m/s, rad/s", VELOCITY, lambda trace: trace.target, asked=True),
-    Channel("twist/setpoint", _of_axes("limited"), "m/s, rad/s", "", lambda trace: trace.setpoint, asked=True),
-    Channel("twist/measured", _of_axes("measured"), "m/s, rad/s", VELOCITY, lambda trace: trace.measured),
+    Channel("twist/target", ("_wanted",), "m/s, rad/s", VELOCITY, _targets, asked=True),
+    Channel("twist/setpoint", ("_limited",), "m/s, rad/s", "", _setpoints, asked=True),
+    Channel("twist/measured", ("_measured",), "m/s, rad/s", VELOCITY, _measured),
     Channel("pose", ("x", "y", "theta"), "m, rad", "Pose [m, rad]", lambda trace: trace.pose),
     Channel("residual", ("residual",), "m/s", "Slip residual [m/s]", lambda trace: (trace.residual,)),
     Channel("residual", ("residual.",), "m/s", "Slip residual [m/s]", lambda trace: trace.residuals),
@@ -80,9 +89,9 @@ def _of_chassis(first: int, end: int, trace: Trace) -> Numbers | None:
 class Layout:
     """Every channel of one robot as one flat row."""
 
-    def __init__(self, motors: Sequence[str], channels: Sequence[Channel]) -> None:
-        self._channels = [(channel, len(channel.labels(motors))) for channel in channels]
-        self.labels = [label for channel in channels for label in channel.labels(motors)]
+    def __init__(self, robot: Chassis, channels: Sequence[Channel]) -> None:
+        self._channels = [(channel, len(channel.labels(robot))) for channel in channels]
+        self.labels = [label for channel in channels for label in channel.labels(robot)]
 
     def row(self, trace: Trace) -> list[float | None]:
         """The numbers of a cycle, in the order of the labels."""
@@ -95,7 +104,7 @@ class Layout:
 
 def layout_of(chassis: Chassis) -> Layout:
     """Every channel of this robot, positions included, motors in chassis order."""
-    return Layout(chassis.motor_names(), (*channels_of(chassis), POSITIONS))
+    return Layout(chassis, (*channels_of(chassis), POSITIONS))
 
 
 def entities(channels: Sequence[Channel]) -> dict[str, list[Channel]]:

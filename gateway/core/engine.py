@@ -33,12 +33,16 @@ from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
+from gateway.core.targets import is_zero, more_of
 from gateway.types import (
+    PLANAR,
     ZERO_TWIST,
+    AxisTrace,
     BusEventKind,
     Inputs,
     Mode,
     Outputs,
+    Rates,
     Reply,
     Request,
     RequestKind,
@@ -78,11 +82,13 @@ class Engine:
         self._law = robot.law
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source)
-        self._velocity = config.limits.velocity.as_twist()
+        axes = robot.kinematics.axes
+        self._more = axes[len(PLANAR) :]
+        self._velocity = config.limits.velocity.as_rates(axes)
         self._limiter = TwistLimiter(
             velocity=self._velocity,
-            acceleration=config.limits.acceleration.as_twist(),
-            jerk=config.limits.jerk.as_twist(),
+            acceleration=config.limits.acceleration.as_rates(axes),
+            jerk=config.limits.jerk.as_rates(axes),
         )
         self._abilities = Abilities(config, robot)
         self._ability: Ability | None = FULL
@@ -131,9 +137,10 @@ class Engine:
         self._ability = self._abilities.of(health, measured)
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
-        motion = self._limit(target, measured, health)
+        more = self._target_of_more(selection) if self._more else ()
+        motion = self._limit(target, measured, health, more=more)
         frames = self._command(motion, measured, health)
-        twist, residual, residuals = measured.estimate or (None, None, None)
+        twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
         reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
         events = self._reporter.events(
@@ -166,6 +173,7 @@ class Engine:
                 residual,
                 residuals,
                 motion.chassis.numbers,
+                self._trace_of_more(more, measured) if more else (),
             ),
             self._shutdown and not self._energised,
         )
@@ -240,7 +248,7 @@ class Engine:
         estimate = self._kinematics.twist(others, measured.angles)
         if estimate is None:
             return None
-        speeds = self._kinematics.wheel_speeds(estimate.twist, measured.angles)
+        speeds = self._kinematics.wheel_speeds(estimate.rates, measured.angles)
         return None if speeds is None else speeds[index]
 
     # judge and decide
@@ -341,7 +349,7 @@ class Engine:
                 reduced=not all(health.usable),
                 commanded=selection.command is not None,
                 start=selection.command is not None
-                and selection.command.twist == ZERO_TWIST
+                and is_zero(selection.command)
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
                 overdue=overdue,
@@ -396,11 +404,21 @@ class Engine:
         s, c = sin_cos(self._odometry.pose.theta)
         return Twist(c * vx + s * vy, c * vy - s * vx, wz)
 
-    def _reached(self, wanted: Twist) -> Twist:
-        """What of it the motors left can drive."""
-        return wanted if self._ability is None else self._ability.target(wanted, self._velocity)
+    def _target_of_more(self, selection: Selection) -> Rates:
+        """The same of the axes beyond the twist."""
+        command = selection.command
+        if self._mode not in DRIVING or command is None:
+            return (0.0,) * len(self._more)
+        return more_of(command, self._more)
 
-    def _limit(self, target: Twist, measured: Measured, health: Health) -> Motion:
+    def _reached(self, target: Twist, more: Rates) -> tuple[Twist, Rates]:
+        """What of it the motors left can drive."""
+        if self._ability is None or self._ability.reach is None:
+            return target, more
+        rates = self._ability.target((*target, *more), self._velocity)
+        return Twist(*rates[: len(PLANAR)]), rates[len(PLANAR) :]
+
+    def _limit(self, target: Twist, measured: Measured, health: Health, *, more: Rates = ()) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         if self._mode is Mode.DEGRADED and self._ability is not None and self._ability.reach is not None:
@@ -409,7 +427,8 @@ class Engine:
         if self._mode in DRIVING:
             headroom = self._motors.headroom(measured)
             effort = self._ability.effort if self._ability is not None else 1.0
-            _, active = self._limiter.step(self._reached(target), measured.dt, effort=effort, headroom=headroom)
+            target, more = self._reached(target, more)
+            _, active = self._limiter.step(target, measured.dt, more=more, effort=effort, headroom=headroom)
             limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
         elif braking:
             self._brake(measured, health)
@@ -417,7 +436,7 @@ class Engine:
             self._limiter.reset()
         if self._mode is Mode.ESTOP:
             return self._law.stop(measured)._replace(limits=limits)
-        motion = self._law.motion(self._limiter.setpoint, measured, braking=braking)
+        motion = self._law.motion(self._limiter.rates, measured, braking=braking)
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
         return motion._replace(limits=(*limits, *motion.limits))
@@ -430,7 +449,7 @@ class Engine:
         else:
             self._unheard = True
         if measured.estimate is not None:
-            self._fall_back(measured.estimate.twist, measured.dt)
+            self._fall_back(measured.estimate.rates, measured.dt)
 
     def _take_up(self, measured: Measured, health: Health) -> None:
         """Motors that follow again go on from how they turn now: what they were told before they may have lost."""
@@ -446,9 +465,9 @@ class Engine:
             for obeying, feedback in zip(health.obeying, self._motors.feedback, strict=True)
         )
 
-    def _fall_back(self, measured: Twist, dt: float) -> None:
+    def _fall_back(self, measured: Rates, dt: float) -> None:
         """Take the setpoint back to what is measured along its direction, where the robot is much slower than that."""
-        setpoint, top = self._limiter.setpoint, self._velocity
+        setpoint, top = self._limiter.rates, self._velocity
         size = excess(setpoint, top)
         if size <= SLACK:  # nothing to take back; and the square of less than 1e-162 would be zero, to divide by
             return
@@ -490,6 +509,11 @@ class Engine:
         if self._energised and not held and self._rested(now_ns):
             self._energised = False
             self._health.expect_nothing()
+
+    def _trace_of_more(self, more: Rates, measured: Measured) -> tuple[AxisTrace, ...]:
+        size = len(PLANAR)
+        known: Sequence[float | None] = measured.estimate.more if measured.estimate else (None,) * len(more)
+        return tuple(map(AxisTrace, more, self._limiter.rates[size:], known))
 
     def _status(
         self,

@@ -10,13 +10,11 @@ from gateway.config import ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build
 from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
-from gateway.types import Twist
+from gateway.types import Rates
 
 LOAD_WARNING: Final = 0.70
 LOAD_REFUSAL: Final = 0.95
 STOPPING_REFUSAL_S: Final = 5.0  # a robot that needs longer from top speed is not under control; source: ours
-_UNIT: Final = (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0))
-_SIGNS: Final = tuple(itertools.product((-1.0, 1.0), repeat=3))
 # Of a speed error, that a speed loop may take back in one cycle: beyond 2 the error grows from cycle to cycle, up to 1
 # it never changes its sign. Source: ours, half of what is stable.
 LOOP_GAIN_REFUSAL: Final = 1.0
@@ -41,8 +39,9 @@ class Examination(NamedTuple):
     rank: int
     condition: float
     rate_hz: float
-    top_speeds: Twist  # what the motors allow for each axis alone, at the worst joint angle
-    reachable: Twist  # the smaller of that and the configured limit
+    axes: tuple[str, ...]  # the body's, in the order of the next two
+    top_speeds: Rates  # what the motors allow for each axis alone, at the worst joint angle
+    reachable: Rates  # the smaller of that and the configured limit
     stopping_time_s: float  # from top speed to rest, at most
     stopping_distance_m: float
     turning_share: float  # of all top speeds at once that can be driven: the rest would turn too fast for its speed
@@ -62,7 +61,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
     robot = build(config, origin)
     matrix = robot.kinematics.matrix()
     top = _top_speeds(robot)
-    limit = config.limits.velocity.as_twist()
+    limit = config.limits.velocity.as_rates(config.robot.AXES)
     buses = tuple(_bus_load(config, robot, bus.name, bus.bitrate) for bus in config.bus)
     overloaded = [
         f"bus {bus.bus}: load {bus.load:.0%} at {config.loop.rate:g} Hz; allowed up to {LOAD_REFUSAL:.0%}"
@@ -78,7 +77,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             f"most of all those of {_slowest(config)}"
         )
     overloaded += _wild_loops(config, robot)
-    loop_limits = config.robot.loop_limits(max(limit.vx, limit.vy), delay=_feedback_delay(config))
+    loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=_feedback_delay(config))
     overloaded += [
         f"loop.rate = {config.loop.rate:g} Hz: too slow for {name} at limits.velocity: at least {1.0 / period:.1f} Hz"
         for name, period, used in loop_limits
@@ -94,11 +93,13 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         rank=decompose(matrix).rank,
         condition=condition(matrix),
         rate_hz=config.loop.rate,
+        axes=config.robot.AXES,
         top_speeds=top,
-        reachable=Twist(*(min(axis) for axis in zip(top, limit, strict=True))),
+        reachable=tuple(min(axis) for axis in zip(top, limit, strict=True)),
         stopping_time_s=stop_s,
         stopping_distance_m=stop_m,
-        turning_share=1.0 / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_twist()))),
+        turning_share=1.0
+        / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_rates(config.robot.AXES)))),
         torque_share=torque_share,
         buses=buses,
         loop_limits=loop_limits,
@@ -120,12 +121,18 @@ def _feedback_delay(config: RobotConfig) -> float:
     return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
 
 
-def _top_speeds(robot: Robot) -> Twist:
+def _top_speeds(robot: Robot) -> Rates:
     """For each axis alone, the speed at which the first motor reaches its limit, at the worst joint angle."""
-    return Twist(*(min(_top_speed(robot, axis, turn) for turn in _turns(robot)) for axis in _UNIT))
+    return tuple(min(_top_speed(robot, axis, turn) for turn in _turns(robot)) for axis in _units(robot))
 
 
-def _top_speed(robot: Robot, axis: Twist, turn: float) -> float:
+def _units(robot: Robot) -> list[Rates]:
+    """One of each axis alone."""
+    axes = robot.kinematics.axes
+    return [tuple(1.0 if place == axis else 0.0 for place in range(len(axes))) for axis in range(len(axes))]
+
+
+def _top_speed(robot: Robot, axis: Rates, turn: float) -> float:
     speeds = _wheel_speeds(robot, axis, turn)
     return min(
         limits.speed / abs(speed) for speed, limits in zip(speeds, robot.limits, strict=True) if abs(speed) > 1e-9
@@ -137,18 +144,18 @@ def _turns(robot: Robot) -> list[float]:
     return [2.0 * pi * step / _HEADINGS for step in range(_HEADINGS)] if robot.kinematics.steered else [0.0]
 
 
-def _wheel_speeds(robot: Robot, twist: Twist, turn: float) -> list[float]:
+def _wheel_speeds(robot: Robot, rates: Rates, turn: float) -> list[float]:
     """Rad/s of every motor with the steered joints at this angle."""
     positions: list[float | None] = [turn if i in robot.kinematics.steered else 0.0 for i in range(len(robot.names))]
-    return robot.kinematics.wheel_speeds(twist, positions) or []
+    return robot.kinematics.wheel_speeds(rates, positions) or []
 
 
 def _slowest(config: RobotConfig) -> str:
     """The axis that takes longest to stop."""
-    limits = config.limits
-    axes = zip(limits.velocity.as_twist(), limits.acceleration.as_twist(), limits.jerk.as_twist(), strict=True)
-    times = [velocity / acceleration + acceleration / jerk for velocity, acceleration, jerk in axes]
-    return Twist._fields[times.index(max(times))]
+    axes = config.robot.AXES
+    rates = [limits.as_rates(axes) for limits in config.limits.axes().values()]
+    times = [velocity / acceleration + acceleration / jerk for velocity, acceleration, jerk in zip(*rates, strict=True)]
+    return axes[times.index(max(times))]
 
 
 def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
@@ -157,13 +164,12 @@ def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
     Power is the same at the wheels and at the body, so the torques are those of least norm with rows' torque = force;
     dry friction and that of half top speed come on top. The inertia of a chassis below its joint is left out.
     """
-    body, limits = config.robot.body, config.limits.acceleration.as_twist()
-    forces = tuple(
-        (x * body.mass * limits.vx, y * body.mass * limits.vy, z * body.inertia * limits.wz) for x, y, z in _SIGNS
-    )
+    body, limits = config.robot.body, config.limits.acceleration.as_rates(config.robot.AXES)
+    strongest = [mass * limit for mass, limit in zip(config.robot.masses(), limits, strict=True)]
+    forces = tuple(itertools.product(*((-force, force) for force in strongest)))
     worst = ("", 0.0)
     for turn in _turns(robot):
-        columns = tuple(tuple(_wheel_speeds(robot, axis, turn)) for axis in _UNIT)
+        columns = tuple(tuple(_wheel_speeds(robot, axis, turn)) for axis in _units(robot))
         torques = [max(map(abs, row)) for row in product(pseudo_inverse(columns), transpose(forces))]
         for name, torque, motor in zip(robot.names, torques, robot.limits, strict=True):
             share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
@@ -188,9 +194,10 @@ def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:
 def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
     """Rad/s^2 per N m with which wheels give way at most, all of them on the ground: the lightest way to move."""
     body = config.robot.body
-    scales = (1.0 / sqrt(body.mass), 1.0 / sqrt(body.mass), 1.0 / sqrt(body.inertia))
+    scales = [1.0 / sqrt(mass) for mass in config.robot.masses()]
     columns = [
-        [speed * scale for speed in _wheel_speeds(robot, axis, turn)] for axis, scale in zip(_UNIT, scales, strict=True)
+        [speed * scale for speed in _wheel_speeds(robot, axis, turn)]
+        for axis, scale in zip(_units(robot), scales, strict=True)
     ]
     largest = decompose(tuple(zip(*columns, strict=True))).values[0]
     return largest * largest / (1.0 + body.joint_inertia * largest * largest)
@@ -209,8 +216,8 @@ def _warnings(
     *,
     config: RobotConfig,
     buses: tuple[BusLoad, ...],
-    top: Twist,
-    limit: Twist,
+    top: Rates,
+    limit: Rates,
     loop_limits: tuple[LoopLimit, ...],
     strain: tuple[str, float],
 ) -> list[str]:
@@ -219,7 +226,7 @@ def _warnings(
     ]
     found += [
         f"limits.velocity.{name} = {wanted:g} is beyond the motors: {possible:.3g} at the worst joint angle"
-        for name, wanted, possible in zip(Twist._fields, limit, top, strict=True)
+        for name, wanted, possible in zip(config.robot.AXES, limit, top, strict=True)
         if wanted > possible
     ]
     name, share = strain

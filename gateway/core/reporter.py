@@ -6,8 +6,8 @@ from typing import Final
 
 from gateway.config import RobotConfig
 from gateway.core.health import Fault
+from gateway.core.targets import is_zero
 from gateway.types import (
-    ZERO_TWIST,
     BusEvent,
     BusEventKind,
     Event,
@@ -194,7 +194,7 @@ def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | 
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
     if faults and mode is not Mode.ESTOP:
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
-    if mode is Mode.IDLE and command is not None and command.twist != ZERO_TWIST:
+    if mode is Mode.IDLE and command is not None and not is_zero(command):
         return f"waiting for a zero command from {command.source}"
     return _REASONS.get(mode)
 

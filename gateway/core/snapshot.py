@@ -32,7 +32,7 @@ State = dict[str, Node]
 # Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
 OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.engine.Engine": frozenset(
-        {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
+        {"_kinematics", "_more", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
     "gateway.core.ability.Abilities": frozenset(
         {"_chassis", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
@@ -54,7 +54,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
     "gateway.core.detectors.SlipDetector": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
-        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity"}
+        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
         {"_accelerations", "_axle_offset", "_flip", "_joint"}

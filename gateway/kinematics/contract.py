@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
 from gateway.kinematics.linear import Matrix
-from gateway.types import Twist
+from gateway.types import Rates, Twist
 
 MAX_CONDITION: Final = 1e6  # beyond it a rounding error in a wheel speed becomes a visible body velocity
 
@@ -23,10 +23,17 @@ class Estimate(NamedTuple):
     twist: Twist
     residual: float | None
     residuals: tuple[float | None, ...] | None = None
+    more: Rates = ()  # axes of the kinematics beyond the twist
+
+    @property
+    def rates(self) -> Rates:
+        """Every axis of the kinematics."""
+        return (*self.twist, *self.more) if self.more else self.twist
 
 
 class Reach(NamedTuple):
-    """`lost`: twists that no usable motor drives or resists, a basis. `effort`: share of the acceleration that is left.
+    """`lost`: twists that no usable motor drives or resists, a basis (of more axes: what of it
+    is a twist). `effort`: share of the acceleration that is left.
 
     The effort holds in every direction, 0 where a direction is lost: what all motors together can push, the usable ones
     can push that much of.
@@ -45,12 +52,14 @@ class Reach(NamedTuple):
 class Kinematics(Protocol):
     """Geometry chassis <-> wheels. Per-wheel sequences are in the order of the robot file.
 
+    `axes`: names of what the body can do, first those of a Twist (`PLANAR`), then what it has more, like a width.
     `positions` are the output angles (rad) of all motors; `steered` are the places of those the geometry depends on.
     """
 
     steered: tuple[int, ...]
+    axes: tuple[str, ...]
 
-    def wheel_speeds(self, twist: Twist, positions: Sequence[float | None]) -> list[float] | None:
+    def wheel_speeds(self, rates: Rates, positions: Sequence[float | None]) -> list[float] | None:
         """Inverse kinematics: rad/s of every motor's output; None while a joint angle it needs is unknown."""
         ...
 
@@ -63,7 +72,7 @@ class Kinematics(Protocol):
         ...
 
     def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
-        """Wheel matrix (n x 3, rad/s per m/s and rad/s) at these joint angles, None: all at zero."""
+        """Wheel matrix (a row per wheel, rad/s per unit of each axis) at these joint angles, None: all at zero."""
         ...
 
 

@@ -15,9 +15,9 @@ from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix, Vector, condition, kernel, product, pseudo_inverse, transpose
 from gateway.kinematics.reach import ReachTable
-from gateway.types import Twist
+from gateway.types import PLANAR, Rates, Twist
 
-_AXES: Final = 3
+_TURN: Final = PLANAR.index("wz")  # the axis in rad/s
 _INVERSE_TOLERANCE: Final = 1e-9
 
 
@@ -25,34 +25,37 @@ class _Solution(NamedTuple):
     """What one set of measured wheels says, per wheel speed (rad/s).
 
     `shares`: what each wheel adds to the twist, a column of the pseudo-inverse. `checks`: rows that any rigid motion
-    takes to zero, m/s. `parts`: for every wheel, what of each check falls to it; None where it is not measured.
+    takes to zero, m/s, and what of it falls to each wheel. `more`: rows of the inverse for axes beyond the twist.
     """
 
     shares: tuple[tuple[float, float, float], ...]
-    checks: Matrix
-    parts: tuple[Vector | None, ...]
+    more: Matrix
+    checks: tuple[tuple[Vector, Vector], ...]
 
 
 class FixedWheels:
     """Kinematics of n fixed wheels. Raises GeometryError unless they have three distinct directions.
 
-    `rim_rows`: one for each wheel; `radii`: of the wheels, m.
+    `rim_rows`: one for each wheel, m/s at the rim per unit of each axis; `radii`: of the wheels, m.
     """
 
     steered: tuple[int, ...] = ()
 
-    def __init__(self, rim_rows: Sequence[tuple[float, float, float]], radii: Sequence[float]) -> None:
+    def __init__(self, rim_rows: Sequence[Vector], radii: Sequence[float], *, axes: tuple[str, ...] = PLANAR) -> None:
+        self.axes = axes
         self.rim_matrix: Matrix = tuple(rim_rows)
         self.rim_pinv = _inverse(self.rim_matrix)
         self._reach = ReachTable(self.rim_matrix)
         self._radii = tuple(radii)
-        self._rows = tuple((a / r, b / r, c / r) for (a, b, c), r in zip(self.rim_matrix, self._radii, strict=True))
+        self._rows = tuple(tuple(part / r for part in row) for row, r in zip(self.rim_matrix, self._radii, strict=True))
         self._all = (True,) * len(self._radii)
         self._solutions: dict[tuple[bool, ...], _Solution | None] = {self._all: self._solve(self._all)}
 
-    def wheel_speeds(self, twist: Twist, positions: Sequence[float | None] = ()) -> list[float]:
+    def wheel_speeds(self, rates: Rates, positions: Sequence[float | None] = ()) -> list[float]:
         """Inverse kinematics, rad/s."""
-        vx, vy, wz = twist
+        if len(rates) > len(PLANAR):
+            return [dot(row, rates) for row in self._rows]
+        vx, vy, wz = rates
         return [a * vx + b * vy + c * wz for a, b, c in self._rows]
 
     def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None] = ()) -> Estimate | None:
@@ -70,22 +73,33 @@ class FixedWheels:
             vx += x * speed
             vy += y * speed
             wz += z * speed
+        more = tuple([dot(row, known) for row in solution.more]) if solution.more else ()
         if not solution.checks:
-            return Estimate(Twist(vx, vy, wz), None)
-        unexplained = [dot(check, known) for check in solution.checks]
-        return Estimate(
-            Twist(vx, vy, wz),
-            sqrt(dot(unexplained, unexplained)),
-            tuple([None if part is None else dot(part, unexplained) for part in solution.parts]),
-        )
+            return Estimate(Twist(vx, vy, wz), None, None, more)
+        square = 0.0
+        residuals: list[float] = []
+        for check, parts in solution.checks:
+            unexplained = dot(check, known)
+            square += unexplained * unexplained
+            falling = [part * unexplained for part in parts]
+            residuals = [a + b for a, b in zip(residuals, falling, strict=True)] if residuals else falling
+        return Estimate(Twist(vx, vy, wz), sqrt(square), self._placed(residuals, speeds), more)
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""
         return self._reach.of(usable)
 
     def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
-        """Wheel matrix, rad/s per (m/s, m/s, rad/s)."""
+        """Wheel matrix, rad/s per unit of each axis."""
         return self._rows
+
+    @staticmethod
+    def _placed(residuals: Sequence[float], speeds: Sequence[float | None]) -> tuple[float | None, ...]:
+        """Those of the measured wheels in the places of these; None between them."""
+        if len(residuals) == len(speeds):
+            return tuple(residuals)
+        following = iter(residuals)
+        return tuple([None if speed is None else next(following) for speed in speeds])
 
     def _solution(self, measured: tuple[bool, ...]) -> _Solution | None:
         if measured not in self._solutions:
@@ -101,11 +115,13 @@ class FixedWheels:
                 raise
             return None
         radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
-        x, y, z = _scaled(inverse, radii)
+        x, y, z, *more = _scaled(inverse, radii)
         basis = kernel(transpose(rows))  # its projector is I - D D+
-        of_known = iter(transpose(basis))
-        parts = tuple(next(of_known) if known and basis else None for known in measured)
-        return _Solution(tuple(zip(x, y, z, strict=True)), _scaled(basis, radii), parts)
+        return _Solution(
+            shares=tuple(zip(x, y, z, strict=True)),
+            more=tuple(more),
+            checks=tuple(zip(_scaled(basis, radii), basis, strict=True)),
+        )
 
 
 def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
@@ -115,11 +131,12 @@ def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
 
 def _inverse(rows: Matrix) -> Matrix:
     """D+ with D+ D = I asserted; scaled to the lever arm first so that metres and radians compare."""
-    if len(rows) < _AXES:
-        message = f"{len(rows)} wheel(s) cannot drive three axes"
+    axes = len(rows[0]) if rows else len(PLANAR)
+    if len(rows) < axes:
+        message = f"{len(rows)} wheel(s) cannot drive {axes} axes"
         raise GeometryError(message)
-    lever = max(abs(row[2]) for row in rows) or 1.0
-    worst = condition(_scaled(rows, (1.0, 1.0, 1.0 / lever)))
+    lever = max(abs(row[_TURN]) for row in rows) or 1.0
+    worst = condition(_scaled(rows, [1.0 / lever if axis == _TURN else 1.0 for axis in range(axes)]))
     if not worst <= MAX_CONDITION:
         message = f"wheel directions are not independent: condition {worst:.3g}, allowed up to {MAX_CONDITION:.0e}"
         raise GeometryError(message)

@@ -16,7 +16,7 @@ from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.reach import ReachTable
-from gateway.types import Twist
+from gateway.types import PLANAR, Rates, Twist
 
 PLATFORM: Final = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
 MIN_AXLE_OFFSET: Final = 1e-3  # m; singular at zero (science: det J = R^2 d1 / d2)
@@ -41,6 +41,7 @@ class OffsetDifferentialKinematics:
     """Kinematics of the offset-differential chassis; motors in the order left, right, platform joint."""
 
     steered: tuple[int, ...] = (PLATFORM,)
+    axes: tuple[str, ...] = PLANAR
 
     def __init__(
         self, *, wheel_radius: float, axle_offset: float, track: float, caster: CasterGeometry | None = None
@@ -57,12 +58,12 @@ class OffsetDifferentialKinematics:
         self._caster = caster
         self._reach = ReachTable(self.matrix())
 
-    def wheel_speeds(self, twist: Twist, positions: Sequence[float | None]) -> list[float] | None:
+    def wheel_speeds(self, rates: Rates, positions: Sequence[float | None]) -> list[float] | None:
         """Inverse kinematics (Eqs. 11-12), rad/s; None while the joint angle is unknown."""
         phi = positions[PLATFORM]
         if phi is None:
             return None
-        vx, vy, wz = twist
+        vx, vy, wz = rates
         (lx, ly), (rx, ry), (px, py) = self._rows(phi)
         return [lx * vx + ly * vy, rx * vx + ry * vy, px * vx + py * vy + wz]
 

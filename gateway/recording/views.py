@@ -63,7 +63,7 @@ class Views:
         self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = config.robot.drawing().beneath
         self._entities = entities(channels_of(config.robot))  # each costs a kilobyte per batch
-        self._layouts = {entity: Layout(self._names, channels) for entity, channels in self._entities.items()}
+        self._layouts = {entity: Layout(config.robot, channels) for entity, channels in self._entities.items()}
         self._mode: Mode | None = None
         self._words = FrameWords(config)
         self._plot = self._picture = self._slot = -1
@@ -76,7 +76,12 @@ class Views:
         self._mode = None
         for entity, channels in self._entities.items():
             asked, measured = (
-                [label for channel in channels if channel.asked is wanted for label in channel.labels(self._names)]
+                [
+                    label
+                    for channel in channels
+                    if channel.asked is wanted
+                    for label in channel.labels(self._config.robot)
+                ]
                 for wanted in (True, False)
             )
             _lines(recording, f"{CHANNELS_ROOT}/{entity}", measured, asked=asked)

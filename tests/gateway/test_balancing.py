@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.contract import CommandKind, DriverFault, MotorState
 from gateway.control.drive_law import JointCommand, Measured, Motion
-from gateway.types import ZERO_TWIST, Mode, RequestKind, Twist
+from gateway.types import ZERO_TWIST, Mode, Rates, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
 pytestmark = pytest.mark.pure_python  # a law of the test in place of that which the engine builds
@@ -23,7 +23,7 @@ class Balance:
         self.upright = True
         self._size = size
 
-    def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)
 
     def stop(self, measured: Measured) -> Motion:

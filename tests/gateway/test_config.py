@@ -334,7 +334,7 @@ def test_numbers_of_check_by_hand() -> None:
     Compensation: ln 3 x 0.25 m / 1.2 m/s = 0.229 s, less the 4 ms by which a measurement may be old.
     """
     moby = examine(parse(robot_text("moby"), "moby"), "moby")
-    assert moby.top_speeds.vx == pytest.approx(22.0 / 164.0**0.5, rel=2e-3)
+    assert moby.top_speeds[0] == pytest.approx(22.0 / 164.0**0.5, rel=2e-3)
     (compensation,) = moby.loop_limits
     assert compensation.name == "compensation"
     assert compensation.period == pytest.approx(0.2249, abs=1e-4)

@@ -92,8 +92,15 @@ class Notes:
 class Stand:
     """The real core of a robot on such a driver, from one second of the clock on."""
 
-    def __init__(self, name: str, edit: Callable[[str], str] = str, *, states: Sequence[MotorState] = ()) -> None:
-        config = parse(edit(robot_text(name)), name)
+    def __init__(
+        self,
+        name: str,
+        edit: Callable[[str], str] = str,
+        *,
+        states: Sequence[MotorState] = (),
+        config: RobotConfig | None = None,
+    ) -> None:
+        config = config or parse(edit(robot_text(name)), name)
         self.names = config.robot.motor_names()
         size = len(self.names)
         self.motors = Notes(size)
