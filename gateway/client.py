@@ -3,10 +3,12 @@
     with Client("moby") as client:
         client.wait_alive(5.0)
         client.send_twist(0.2, 0.0, 0.0, source="joy")
+        client.sense("imu", heading=1.57)
 
 It may be opened before the gateway: the connection is retried until it stands, and again after it breaks.
 """
 
+import itertools
 import re
 import secrets
 import time
@@ -57,9 +59,11 @@ class Client:
         self._truth: TruthMessage | None = None
         self._events: deque[EventMessage] = deque(maxlen=MAX_EVENTS)
         self._commanders: dict[str, zenoh.Publisher] = {}
+        self._sensors: dict[str, zenoh.Publisher] = {}
         self._sender = secrets.token_hex(4)
         # Larger than that of a former client on this machine, whose numbers would make ours look old.
         self._sequence = time.monotonic_ns() // 1000
+        self._samples = itertools.count(self._sequence)  # sensors may be read in another thread
         self._session = open_zenoh(
             listen=[], connect=connect, max_message_size=MAX_MESSAGE_SIZE, config_file=config_file
         )
@@ -95,6 +99,19 @@ class Client:
         )
         self._sequence = self._sequence + 1 if sequence is None else index(sequence)
         self._commander(source).put(payload)
+
+    def sense(self, sensor: str, **values: SupportsFloat | None) -> None:
+        """Puts one sample of a sensor: `heading=`, `roll=` and `pitch=` with known rates, or `range=`; rad, rad/s, m.
+
+        Raises ValueError, naming quantity and range, for what no robot takes; TypeError for what is no number.
+        """
+        payload = messages.encode_sample(
+            values, sequence=next(self._samples), stamp=time.clock_gettime(_STAMP_CLOCK), sender=self._sender
+        )
+        if sensor not in self._sensors:
+            rest = keys.sample(_checked(sensor))
+            self._sensors[sensor] = self._publisher(rest, zenoh.CongestionControl.DROP)
+        self._sensors[sensor].put(payload)
 
     def stop(self, timeout: float = 2.0) -> bool:
         """Latched emergency stop, put again until the robot's state says so; False: it did not in time.

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from gateway.types import Twist
+from gateway.types import SensorKind, Twist
 
 NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"  # also safe as one chunk of a Zenoh key
 
@@ -198,6 +198,14 @@ class Source(_Section):
     timeout: Annotated[float, Field(ge=0.02, le=2.0)]
 
 
+class Sensor(_Section):
+    """One sensor that does not come over CAN; older than its timeout (s) its sample is none."""
+
+    name: Name
+    kind: SensorKind
+    timeout: Annotated[float, Field(ge=0.02, le=2.0)]
+
+
 class Commands(_Section):
     source: Annotated[list[Source], Field(min_length=1, max_length=32)]
 
@@ -237,6 +245,7 @@ class RobotConfig(_Section):
     motor: Annotated[list[Motor], Field(min_length=1, max_length=32)]
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
     commands: Commands
+    sensor: Annotated[list[Sensor], Field(max_length=16)] = []
     zenoh: Zenoh = Zenoh()
     recording: Recording = Recording()
 
@@ -247,6 +256,9 @@ class RobotConfig(_Section):
         problems += _shared_channels(self.bus)
         problems += _duplicates("commands.source.name", (source.name for source in self.commands.source))
         problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
+        sources = [source.name for source in self.commands.source]
+        problems += _duplicates("sensor.name", [*(sensor.name for sensor in self.sensor), *dict.fromkeys(sources)])
+        problems += _second_of_a_kind(self.sensor)
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
         problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
         buses = [bus.name for bus in self.bus]
@@ -315,6 +327,16 @@ def _duplicates(key: str, values: Iterable[object]) -> list[str]:
     seen: set[object] = set()
     doubled = {value for value in values if value in seen or seen.add(value)}  # type: ignore[func-returns-value]
     return [f"{key} = {value!r}: given twice, must be unique" for value in sorted(doubled, key=str)]
+
+
+def _second_of_a_kind(sensors: Iterable[Sensor]) -> list[str]:
+    """Nothing here chooses between two that tell the same of the body; ranges tell of a direction each."""
+    first: dict[SensorKind, str] = {}
+    return [
+        f"sensor {sensor.name}: kind = {sensor.kind.value!r}: {first[sensor.kind]} already tells it; one is allowed"
+        for sensor in sensors
+        if sensor.kind is not SensorKind.RANGE and first.setdefault(sensor.kind, sensor.name) != sensor.name
+    ]
 
 
 def _shared_channels(buses: Iterable[Bus]) -> list[str]:

@@ -69,8 +69,40 @@ class TwistCommand(NamedTuple):
     stamped: bool = False
 
 
+class SensorKind(Enum):
+    """What a sensor tells that does not come over CAN."""
+
+    HEADING = "heading"  # rad about the vertical, counter-clockwise, from any zero, wrapped or not: a gyro, an IMU
+    ATTITUDE = "attitude"  # roll and pitch, rad; rates about x, y, z of the body, rad/s
+    RANGE = "range"  # m to what is in front of the sensor, or drawn out of it
+
+
+class Attitude(NamedTuple):
+    """How the body leans: rad, of REP-103's axes; and how it turns, rad/s, None where the sensor does not tell."""
+
+    roll: float
+    pitch: float
+    roll_rate: float | None = None
+    pitch_rate: float | None = None
+    yaw_rate: float | None = None
+
+
+class SensorSample(NamedTuple):
+    """What one sensor told. `values`: in the order of its kind (one number, or the fields of Attitude).
+
+    `source`: the sensor's name in the robot file; the rest as of a TwistCommand.
+    """
+
+    source: str
+    values: tuple[float | None, ...]
+    sequence: int | None
+    received_ns: int
+    sender: str | None = None
+    stamped: bool = False
+
+
 class RefusalCode(Enum):
-    """Why a command from the wire was not taken."""
+    """Why a command, or a sample of a sensor, from the wire was not taken."""
 
     NOT_A_PUT = "not_a_put"
     KEY_NOT_EXACT = "key_not_exact"
@@ -80,13 +112,14 @@ class RefusalCode(Enum):
     OUT_OF_RANGE = "out_of_range"
     WRONG_FRAME = "wrong_frame"
     UNKNOWN_SOURCE = "unknown_source"
+    UNKNOWN_SENSOR = "unknown_sensor"
     OLD_SEQUENCE = "old_sequence"
     STALE = "stale"  # its stamp says that it was too long on its way
     SECOND_SENDER = "second_sender"  # another sender holds this source
 
 
 class Refusal(NamedTuple):
-    """A command that was not taken: who (as far as known), why, and the words for a person."""
+    """A command or sample that was not taken: who (as far as known), why, and the words for a person."""
 
     source: str
     code: RefusalCode
@@ -149,6 +182,7 @@ class Inputs(NamedTuple):
     refusals: tuple[Refusal, ...] = ()
     requests: tuple[Request, ...] = ()
     bus_events: tuple[BusEvent, ...] = ()
+    samples: tuple[SensorSample, ...] = ()
     overruns: int = 0
     dropped_records: int = 0
 
@@ -208,6 +242,16 @@ class SourceStatus(NamedTuple):
     reason: str | None
 
 
+class SensorStatus(NamedTuple):
+    """One sensor: what it tells (None: silent, or never heard), its age, and how often it jumped."""
+
+    name: str
+    kind: str
+    values: tuple[float | None, ...] | None
+    age_s: float | None
+    jumps: int
+
+
 class Status(NamedTuple):
     """What a person or a fleet manager wants to know of the robot, at the status rate."""
 
@@ -223,11 +267,12 @@ class Status(NamedTuple):
     standing: bool | None
     pose: Pose
     twist: Twist | None
-    refused: int  # commands refused since start
+    refused: int  # commands and samples refused since start
     tx_dropped: int
     overruns: int
     dropped_records: int
     cycle: int
+    sensors: tuple[SensorStatus, ...] = ()
 
 
 class Trace(NamedTuple):
@@ -242,6 +287,9 @@ class Trace(NamedTuple):
     wheel_positions: tuple[float | None, ...]  # rad at the output
     winner_age_s: float | None
     residual: float | None
+    heading: float | None = None  # rad, as the sensor tells it
+    attitude: Attitude | None = None
+    ranges: tuple[float | None, ...] = ()  # m, of the range sensors in the order of the robot file
 
 
 class Outputs(NamedTuple):

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import Twist
+from gateway.types import Attitude, Twist
 
 
 class Measured(NamedTuple):
@@ -28,6 +28,9 @@ class Measured(NamedTuple):
     angles: tuple[float | None, ...] = ()  # positions that are trusted, for the geometry
     estimate: Estimate | None = None  # motion of the body, and what of the wheels it does not explain
     slipping: bool = False
+    heading: float | None = None  # rad, as a gyro tells it: from any zero, wrapped or not
+    attitude: Attitude | None = None
+    ranges: tuple[float | None, ...] = ()  # m
 
 
 class JointCommand(NamedTuple):

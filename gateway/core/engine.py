@@ -29,6 +29,7 @@ from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
+from gateway.core.sensors import Readings, Sensors
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
 from gateway.types import (
@@ -82,6 +83,7 @@ class Engine:
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
+        self._sensors = Sensors(config.sensor, top_turn=self._velocity.wz)
         self._slip = SlipDetector()
         self._standstill = Standstill()
         self._reporter = Reporter(config)
@@ -133,6 +135,8 @@ class Engine:
             faults=health.faults,
             replies=replies,
             slipping=measured.slipping,
+            silent=self._sensors.silent,
+            jumped=self._sensors.jumped,
         )
         status = None
         if self._reporter.status_due(now_ns) or events:
@@ -154,6 +158,9 @@ class Engine:
                 measured.positions,
                 _seconds(selection.age_ns),
                 residual,
+                measured.heading,
+                measured.attitude,
+                measured.ranges,
             ),
             self._shutdown and not self._energised,
         )
@@ -188,6 +195,8 @@ class Engine:
         self._motors.receive(inputs.frames)
         for command in inputs.commands:
             self._arbiter.receive(command)
+        for sample in inputs.samples:
+            self._sensors.receive(sample)
         for event in inputs.bus_events:
             if event.kind is BusEventKind.DOWN:
                 self._buses_down[event.bus] = event.text
@@ -205,9 +214,32 @@ class Engine:
         residual = estimate.residual if estimate else None
         measurable = estimate is not None or None not in speeds
         self._standstill.measure(turning=self._motors.turning(measured), measurable=measurable, now_ns=now_ns)
-        self._odometry.update(deltas, trusted, residual=residual, dt=dt)
+        readings = self._sensors.read(now_ns)
+        self._move(deltas, trusted, readings, residual=residual, dt=dt)
         self._slip.look(residual, dt)
-        return measured._replace(angles=tuple(trusted), estimate=estimate, slipping=self._slip.slipping)
+        return measured._replace(
+            angles=tuple(trusted),
+            estimate=estimate,
+            slipping=self._slip.slipping,
+            heading=readings.heading and readings.heading.angle,
+            attitude=readings.attitude,
+            ranges=readings.ranges,
+        )
+
+    def _move(
+        self,
+        deltas: Sequence[float | None],
+        angles: Sequence[float | None],
+        readings: Readings,
+        *,
+        residual: float | None,
+        dt: float,
+    ) -> None:
+        """The pose by the way of this cycle, with the turn of a gyro where there is one to be believed."""
+        angle, fresh, anew = readings.heading or (None, True, False)
+        if anew:
+            self._odometry.forget_heading()
+        self._odometry.update(deltas, angles, residual=residual, dt=dt, heading=angle, fresh=fresh)
 
     def _expected_speed(self, index: int) -> float | None:
         """Speed of one wheel as the other wheels have it, rad/s."""
@@ -491,6 +523,7 @@ class Engine:
             overruns=inputs.overruns,
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
+            sensors=self._sensors.describe(inputs.now_ns),
         )
 
 

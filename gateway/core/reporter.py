@@ -77,7 +77,8 @@ class Reporter:
         self.status_due = Due(config.zenoh.state_rate)
         self.refused = 0
         self.tx_dropped = 0
-        self._sources = frozenset(source.name for source in config.commands.source)
+        self._silent = tuple(sensor.name for sensor in config.sensor)
+        self._sources = frozenset((*(source.name for source in config.commands.source), *self._silent))
         self._throttle = _Throttle()
         self._first_ns: int | None = None
         self._mode = Mode.IDLE
@@ -95,13 +96,16 @@ class Reporter:
         faults: tuple[Fault, ...],
         replies: Sequence[Reply],
         slipping: bool,
+        silent: tuple[str, ...] = (),
+        jumped: Sequence[str] = (),
     ) -> tuple[Event, ...]:
-        """Everything worth telling of this cycle; usually nothing."""
+        """Everything worth telling of this cycle; usually nothing. `silent`, `jumped`: sensors."""
         quiet = (
             mode is self._mode
             and faults is self._faults
             and slipping is self._slipping
-            and not (inputs.refusals or inputs.bus_events or replies)
+            and silent == self._silent
+            and not (inputs.refusals or inputs.bus_events or replies or jumped)
             and inputs.overruns == self._overruns
             and inputs.dropped_records == self._dropped_records
         )
@@ -117,6 +121,7 @@ class Reporter:
         events += self._counters(inputs)
         events += self._fault_changes(faults, now_ns)
         events += self._slip_change(slipping, now_ns)
+        events += self._sensor_changes(silent, jumped, now_ns)
         kinds = {request.id: request.kind.value for request in inputs.requests}
         events += [event for reply in replies for event in self._reply(kinds[reply.id], reply, now_ns)]
         events += self._mode_change(mode, reason)
@@ -174,6 +179,18 @@ class Reporter:
             return []
         text = "the wheels do not fit a rigid motion: one of them slips"
         return _counted(Level.WARNING, "slip", text, self._throttle.admit("slip", now_ns))
+
+    def _sensor_changes(self, silent: tuple[str, ...], jumped: Sequence[str], now_ns: int) -> list[Event]:
+        before, self._silent = self._silent, silent
+        events: list[Event] = []
+        for names, code, level, text in (
+            ([name for name in silent if name not in before], "sensor_silent", Level.WARNING, "silent"),
+            ([name for name in before if name not in silent], "sensor_heard", Level.INFO, "heard"),
+            (jumped, "sensor_jump", Level.WARNING, "its heading changed by more than the robot can turn: not believed"),
+        ):
+            for name in names:
+                events += _counted(level, code, f"{name}: {text}", self._throttle.admit((code, name), now_ns))
+        return events
 
     def _mode_change(self, mode: Mode, reason: str | None) -> list[Event]:
         before, self._mode = self._mode, mode

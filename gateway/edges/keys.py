@@ -4,6 +4,7 @@ STOP = "cmd/stop"  # anything put here is an emergency stop
 RESET = "cmd/reset"  # asked
 REFERENCE = "cmd/reference"  # asked
 COMMANDS = "cmd/**"
+SENSORS = "sensor/**"
 STATUS = "status"  # asked
 CONFIG = "config"  # asked: the robot file
 ODOMETRY = "odometry"
@@ -17,6 +18,11 @@ ALIVE = "alive"  # a liveliness token
 def twist(source: str) -> str:
     """Where a command source puts its twists."""
     return f"cmd/twist/{source}"
+
+
+def sample(sensor: str) -> str:
+    """Where a sensor puts its samples."""
+    return f"sensor/{sensor}"
 
 
 def key(robot: str, rest: str) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from gateway.core.channels import plots
+from gateway.core.channels import Owners, plots
 from gateway.recording.schema import CYCLE, WALL
 from gateway.recording.shapes import BODY, PATH, WORLD
 from gateway.recording.views import (
@@ -22,12 +22,12 @@ _EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=[
 _CAN_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["body"])
 
 
-def blueprint(*, eye_height: float) -> rrb.Blueprint:
+def blueprint(owners: Owners, *, eye_height: float) -> rrb.Blueprint:
     """Robot from above | wheel speeds, body velocity, loop timing; modes and events along the bottom.
 
     The first plot of the channels has a place of its own, the others share one, the second of them on top.
     """
-    wheels, *others = (_plot(name, shown) for name, shown in plots().items())
+    wheels, *others = (_plot(name, shown) for name, shown in plots(owners).items())
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(

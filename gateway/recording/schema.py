@@ -14,6 +14,7 @@ Version 1, which had a row of Rerun's for each frame, is still read (`replay.ses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
 from itertools import repeat
+from math import isnan, nan
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from gateway.types import (
     Reply,
     Request,
     RequestKind,
+    SensorSample,
     Status,
     Twist,
     TwistCommand,
@@ -172,6 +174,16 @@ def _bus_event(row: Row) -> BusEvent:
     return BusEvent(bus, BusEventKind(kind), occurrences, text)
 
 
+# What a sensor does not tell is no number in the list: no number that an edge lets in is one.
+def _sample_rows(record: Record) -> Sequence[Row]:
+    return [(s.source, [nan if value is None else value for value in s.values], *s[2:]) for s in record.inputs.samples]
+
+
+def _sample(row: Row) -> SensorSample:
+    source, values, *rest = row
+    return SensorSample(source, tuple([None if isnan(value) else value for value in values]), *rest)
+
+
 def _event_rows(record: Record) -> Sequence[Row]:
     return [(e.level.value, e.code, e.text) for e in record.outputs.events]
 
@@ -231,6 +243,13 @@ BUS_EVENTS = Table(
     _bus_event_rows,
     each(_bus_event),
 )
+SAMPLES = Table(
+    "samples",
+    {"source": Kind.TEXT, "values": Kind.FLOATS, "sequence": Kind.MAYBE_INT, "received_ns": Kind.INT}
+    | {"sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL},
+    _sample_rows,
+    each(_sample),
+)
 FRAMES_OUT = Table("frames_out", CAN_COLUMNS, lambda record: record.outputs.frames, tuples(CanFrame))
 EVENTS = Table("events", {"level": Kind.TEXT, "code": Kind.TEXT, "text": Kind.TEXT}, _event_rows, each(_event))
 REPLIES = Table(
@@ -248,7 +267,7 @@ ODOMETRY = Table(
     each(_odometry),
 )
 
-INPUTS = (FRAMES_IN, COMMANDS, REFUSALS, REQUESTS, BUS_EVENTS)  # in the order of the fields of Inputs
+INPUTS = (FRAMES_IN, COMMANDS, REFUSALS, REQUESTS, BUS_EVENTS, SAMPLES)  # in the order of the fields of Inputs
 OUTPUTS = (FRAMES_OUT, EVENTS, REPLIES, ODOMETRY)
 TABLES = (*INPUTS, *OUTPUTS)
 COUNTERS = ("cycle", "now_ns", "overruns", "dropped_records", "late_ns", "work_ns", "wall_ns")
@@ -290,4 +309,5 @@ def status_row(status: Status) -> Row:
     named = status._asdict()  # plain JSON of a tuple would lose the names
     named["sources"] = [source._asdict() for source in status.sources]
     named["motors"] = [motor._asdict() for motor in status.motors]
+    named["sensors"] = [sensor._asdict() for sensor in status.sensors]
     return (msgspec.json.encode(named).decode(),)

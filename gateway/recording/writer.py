@@ -19,6 +19,7 @@ import msgspec
 import rerun as rr
 
 from gateway.config import RobotConfig
+from gateway.core.channels import owners
 from gateway.recording.blueprint import blueprint
 from gateway.recording.disk import (
     Disposable,
@@ -63,7 +64,7 @@ class SessionWriter:
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
         self._views = Views(config)
-        self._blueprint = blueprint(eye_height=EYE_HEIGHTS * reach(config))
+        self._blueprint = blueprint(owners(config), eye_height=EYE_HEIGHTS * reach(config))
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from drivers.contract import CanFrame
 from gateway.config import parse
-from gateway.core.channels import Layout
+from gateway.core.channels import Layout, owners
 from gateway.core.frame_words import FrameWords
 from gateway.types import Inputs
 from replay.compare.replay import Replay
@@ -27,14 +27,14 @@ class Told(NamedTuple):
 
 def columns(session: Session) -> list[str]:
     """Names of the cells of `rows`; motors in chassis order. Raises ConfigError."""
-    motors = parse(session.config_text, "robot file of the session").robot.motor_names()
-    return ["cycle", "t", "mode", *Layout(motors).labels]
+    config = parse(session.config_text, "robot file of the session")
+    return ["cycle", "t", "mode", *Layout(owners(config)).labels]
 
 
 def rows(session: Session) -> Iterator[list[Cell]]:
     """One row per cycle that can be replayed, SI, None where something is unknown or released. Raises ConfigError."""
     config = parse(session.config_text, "robot file of the session")
-    replay, layout = Replay(config, session), Layout(config.robot.motor_names())
+    replay, layout = Replay(config, session), Layout(owners(config))
     first_ns = None
     for inputs, _ in session.cycles():
         first_ns = inputs.now_ns if first_ns is None else first_ns

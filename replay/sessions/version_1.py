@@ -188,7 +188,9 @@ class CycleRows:
     def _values(self, start: int, end: int) -> Iterator[Cycle]:
         groups = [group.window(start, end) for group in self._groups]
         now, overruns, dropped = (column[start:end].tolist() for column in self._inputs)
-        inputs = map(Inputs, self.cycle[start:end].tolist(), now, *groups[: len(INPUTS)], overruns, dropped)
+        no_samples: Iterator[tuple[Any, ...]] = repeat(())
+        given = (*groups[: len(INPUTS)], no_samples, overruns, dropped)
+        inputs = map(Inputs, self.cycle[start:end].tolist(), now, *given)
         frames, events, replies, odometry = groups[len(INPUTS) :]
         modes = [_MODES[text] for text in self._mode[start:end]]
         due = [values[0] if values else None for values in odometry]

@@ -2,11 +2,12 @@
 
 import pytest
 
-from gateway.core.channels import CHANNELS, POSITIONS, Layout, entities, plots
+from gateway.core.channels import CHANNELS, UNPLOTTED, Layout, entities, owners, plots
 from gateway.types import Trace
 from tests.world import World
 
-ALL = (*CHANNELS, POSITIONS)
+ALL = (*CHANNELS, *UNPLOTTED)
+MOBY = owners(World("moby").config)
 
 
 def trace(name: str) -> Trace:
@@ -18,7 +19,7 @@ def trace(name: str) -> Trace:
 @pytest.mark.parametrize("name", ["moby", "omni4"])
 def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
     motors = World(name).config.robot.motor_names()
-    layout, seen = Layout(motors), trace(name)
+    layout, seen = Layout(owners(World(name).config)), trace(name)
     assert len(set(layout.labels)) == len(layout.labels) == len(layout.row(seen))
     named = layout.named(seen)
     assert named["x"] == seen.pose.x
@@ -29,7 +30,7 @@ def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
 
 def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
     seen = trace("moby")._replace(measured=None)
-    layout = Layout(("left", "right", "platform"))
+    layout = Layout(MOBY)
     assert [layout.named(seen)[f"{axis}_measured"] for axis in ("vx", "vy", "wz")] == [None] * 3
     assert len(layout.row(seen)) == len(layout.labels)
 
@@ -50,6 +51,6 @@ def test_no_part_of_the_trace_is_left_out() -> None:
 
 
 def test_plots_show_entities_that_exist_and_a_unit_is_told() -> None:
-    assert {entity for shown in plots().values() for entity in shown} <= set(entities())
-    assert next(iter(plots())) == "Wheel speeds [rad/s]"
+    assert {entity for shown in plots(MOBY).values() for entity in shown} <= set(entities(MOBY))
+    assert next(iter(plots(MOBY))) == "Wheel speeds [rad/s]"
     assert all(channel.unit and f"[{channel.unit}]" in (channel.plot or f"[{channel.unit}]") for channel in CHANNELS)

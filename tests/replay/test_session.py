@@ -38,6 +38,8 @@ from gateway.types import (
     Reply,
     Request,
     RequestKind,
+    SensorSample,
+    SensorStatus,
     SourceStatus,
     Status,
     Trace,
@@ -82,6 +84,7 @@ STATUS = Status(
     overruns=0,
     dropped_records=0,
     cycle=3,
+    sensors=(SensorStatus("imu", "heading", (1.5,), 0.01, 0),),
 )
 
 integers = st.integers(-(2**63), 2**63 - 1)
@@ -120,6 +123,18 @@ inputs = st.builds(
     refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
     requests=st.lists(
         st.builds(Request, st.sampled_from(RequestKind), integers, integers, st.none() | texts, st.none() | numbers),
+        max_size=2,
+    ).map(tuple),
+    samples=st.lists(
+        st.builds(
+            SensorSample,
+            texts,
+            st.lists(st.none() | numbers, max_size=5).map(tuple),
+            st.none() | integers,
+            integers,
+            st.none() | texts,
+            st.booleans(),
+        ),
         max_size=2,
     ).map(tuple),
     bus_events=st.lists(st.builds(BusEvent, texts, st.sampled_from(BusEventKind), integers, texts), max_size=2).map(
