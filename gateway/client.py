@@ -141,6 +141,13 @@ class Client:
         """
         return self._ask(keys.REFERENCE, messages.encode_reference(motor, angle), timeout)
 
+    def set(self, setting: str, value: SupportsFloat, timeout: float = 2.0) -> ResetAnswer:
+        """Another value of a setting, until the robot is restarted; which there are is in its state.
+
+        Raises ValueError for what is no name, TypeError for what is no number.
+        """
+        return self._ask(keys.SET, messages.encode_setting(setting, value), timeout)
+
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""
         payload = self._get(keys.STATUS, timeout)

@@ -246,6 +246,7 @@ class RobotConfig(_Section):
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
     commands: Commands
     sensor: Annotated[list[Sensor], Field(max_length=16)] = []
+    settings: dict[Name, float] = {}  # what `gateway.core.settings` lists, as it is at the start
     zenoh: Zenoh = Zenoh()
     recording: Recording = Recording()
 

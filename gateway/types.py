@@ -134,12 +134,14 @@ class RequestKind(Enum):
     RESET = "reset"
     SHUTDOWN = "shutdown"
     REFERENCE = "reference"  # somebody says at which angle a steered joint stands now
+    SET = "set"  # another value of a setting
 
 
 class Request(NamedTuple):
     """One request; `id` ties the reply to it (0: nobody waits for a reply).
 
     Only of a REFERENCE: `motor`, None for the only steered joint, and `angle`, rad at the output from its zero.
+    Only of a SET: `setting`, its name, and `value`, in its unit.
     """
 
     kind: RequestKind
@@ -147,6 +149,8 @@ class Request(NamedTuple):
     received_ns: int
     motor: str | None = None
     angle: float | None = None
+    setting: str | None = None
+    value: float | None = None
 
 
 class BusEventKind(Enum):
@@ -252,6 +256,16 @@ class SensorStatus(NamedTuple):
     jumps: int
 
 
+class SettingStatus(NamedTuple):
+    """One setting that may be changed while the robot runs, and from where to where."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
 class Status(NamedTuple):
     """What a person or a fleet manager wants to know of the robot, at the status rate."""
 
@@ -273,6 +287,7 @@ class Status(NamedTuple):
     dropped_records: int
     cycle: int
     sensors: tuple[SensorStatus, ...] = ()
+    settings: tuple[SettingStatus, ...] = ()
 
 
 class Trace(NamedTuple):

@@ -11,6 +11,7 @@ from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
+from gateway.core.settings import problems
 from gateway.kinematics import KINEMATICS
 from gateway.kinematics.contract import GeometryError, Kinematics
 
@@ -38,6 +39,9 @@ class Robot(NamedTuple):
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range."""
+    wrong = [f"settings: {problem}" for problem in problems(config.settings)]
+    if wrong:
+        raise ConfigError(origin, wrong)
     motors = config.motors_in_order()
     try:
         kinematics = KINEMATICS[config.robot.kind](config.robot)

@@ -19,7 +19,7 @@ from drivers.contract import CanFrame, MotorState
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import BRAKE, COAST, JointCommand, Measured, Motion
-from gateway.control.limits import TwistLimiter, excess
+from gateway.control.limits import TwistLimiter, excess, scale_to
 from gateway.core import snapshot as snapshots
 from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
@@ -30,6 +30,7 @@ from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
 from gateway.core.sensors import Readings, Sensors
+from gateway.core.settings import SPEED_OVERRIDE, Settings
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
 from gateway.types import (
@@ -84,6 +85,7 @@ class Engine:
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=self._velocity.wz)
+        self._settings = Settings(config.settings)
         self._slip = SlipDetector()
         self._standstill = Standstill()
         self._reporter = Reporter(config)
@@ -288,6 +290,8 @@ class Engine:
             elif request.kind is RequestKind.RESET:
                 refusal = self._refusal_of_reset(inputs.now_ns, estop=RequestKind.ESTOP in kinds)
                 granted = refusal is None
+            elif request.kind is RequestKind.SET:
+                refusal = self._settings.set(request.setting, request.value)
             else:
                 continue
             replies.append(Reply(request.id, refusal is None, refusal))
@@ -408,6 +412,7 @@ class Engine:
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
+            target, limits = self._override(target, limits)
             headroom = self._motors.headroom(measured)
             effort = self._kinematics.reach(health.usable).effort if self._mode is Mode.DEGRADED else 1.0
             _, active = self._limiter.step(target, measured.dt, effort=effort, headroom=headroom)
@@ -420,6 +425,14 @@ class Engine:
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
         return motion._replace(limits=(*limits, *motion.limits))
+
+    def _override(self, target: Twist, limits: tuple[str, ...]) -> tuple[Twist, tuple[str, ...]]:
+        """The target within the share of top speed that commands may use; the setpoint goes there within the limits."""
+        share = self._settings.value(SPEED_OVERRIDE)
+        if share >= 1.0:
+            return target, limits
+        allowed = scale_to(target, Twist(*[share * axis for axis in self._velocity]))
+        return allowed, limits if allowed is target else (*limits, SPEED_OVERRIDE.name)
 
     def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
@@ -524,6 +537,7 @@ class Engine:
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
             sensors=self._sensors.describe(inputs.now_ns),
+            settings=self._settings.describe(),
         )
 
 

@@ -15,6 +15,8 @@ from gateway.types import (
     Mode,
     Refusal,
     Reply,
+    Request,
+    RequestKind,
     TwistCommand,
 )
 
@@ -122,8 +124,8 @@ class Reporter:
         events += self._fault_changes(faults, now_ns)
         events += self._slip_change(slipping, now_ns)
         events += self._sensor_changes(silent, jumped, now_ns)
-        kinds = {request.id: request.kind.value for request in inputs.requests}
-        events += [event for reply in replies for event in self._reply(kinds[reply.id], reply, now_ns)]
+        asked = {request.id: request for request in inputs.requests}
+        events += [event for reply in replies for event in self._reply(asked[reply.id], reply, now_ns)]
         events += self._mode_change(mode, reason)
         return tuple(events)
 
@@ -133,10 +135,13 @@ class Reporter:
         count = self._throttle.admit((source, refusal.code), now_ns)
         return _counted(Level.WARNING, f"refused_{refusal.code.value}", f"{refusal.source}: {refusal.text}", count)
 
-    def _reply(self, kind: str, reply: Reply, now_ns: int) -> list[Event]:
-        count = self._throttle.admit((kind, reply.ok, reply.reason), now_ns)
+    def _reply(self, request: Request, reply: Reply, now_ns: int) -> list[Event]:
+        kind, setting = request.kind.value, request.kind is RequestKind.SET
+        # What is asked to be set, and to what, are as many kinds as people like to send.
+        count = self._throttle.admit((kind, reply.ok, None if setting else reply.reason), now_ns)
         if reply.ok:
-            return _counted(Level.INFO, kind, "granted", count)
+            granted = f"{request.setting} = {request.value:g}" if setting else "granted"
+            return _counted(Level.INFO, kind, granted, count)
         return _counted(Level.WARNING, f"{kind}_refused", str(reply.reason), count)
 
     def _bus(self, event: BusEvent, now_ns: int) -> list[Event]:

@@ -3,6 +3,7 @@
 STOP = "cmd/stop"  # anything put here is an emergency stop
 RESET = "cmd/reset"  # asked
 REFERENCE = "cmd/reference"  # asked
+SET = "cmd/set"  # asked
 COMMANDS = "cmd/**"
 SENSORS = "sensor/**"
 STATUS = "status"  # asked

@@ -7,6 +7,7 @@
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
+| `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
@@ -55,6 +56,7 @@ MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong 
 MAX_TURN = 50.0  # rad/s: likewise
 MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
 MAX_STAMP = 1e10  # s, three centuries; a double still tells microseconds apart
+MAX_SETTING = 1e9  # the range of each setting is the core's business
 MAX_ANGLE = 6.3  # rad: one turn of a steered joint either way
 MAX_HEADING = 1e6  # rad; a gyro that turned for days, and a double still tells its microradians
 MAX_LEAN = 3.15  # rad: upside down
@@ -78,6 +80,8 @@ _ALLOWED = {
     "yaw_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "range": f"a number from 0 to {MAX_RANGE:g} m",
     "motor": f"the name of a motor, matching {NAME_PATTERN}, or null",
+    "setting": f"the name of a setting, matching {NAME_PATTERN}",
+    "value": f"a number from {-MAX_SETTING:g} to {MAX_SETTING:g}",
     "angle": f"a number from {-MAX_ANGLE:g} to {MAX_ANGLE:g} rad",
 }
 _CODES = {
@@ -144,6 +148,13 @@ class _ReferencePayload(BaseModel):
     angle: Annotated[float, Field(ge=-MAX_ANGLE, le=MAX_ANGLE)] = 0.0
 
 
+class _SettingPayload(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    setting: Annotated[str, Field(pattern=NAME_PATTERN)]
+    value: Annotated[float, Field(ge=-MAX_SETTING, le=MAX_SETTING)]
+
+
 class TwistMessage(NamedTuple):
     """A command as it came; `stamp_ns`: when it was sent by its sender's clock, None: not told."""
 
@@ -163,6 +174,13 @@ class Reference(NamedTuple):
 
     motor: str | None
     angle: float
+
+
+class SettingChange(NamedTuple):
+    """Another value of a setting."""
+
+    setting: str
+    value: float
 
 
 class OdometryMessage(NamedTuple):
@@ -206,7 +224,7 @@ class TruthMessage(NamedTuple):
 
 
 class ResetAnswer(NamedTuple):
-    """Whether the robot did what was asked (a reset, a reference), and if not, why."""
+    """Whether the robot did what was asked (a reset, a reference, a setting), and if not, why."""
 
     ok: bool
     reason: str | None
@@ -303,6 +321,22 @@ def encode_reference(motor: str | None, angle: SupportsFloat) -> bytes:
     return _checked({"motor": motor, "angle": _number("angle", angle)}, _ReferencePayload)
 
 
+def parse_setting(payload: bytes) -> SettingChange | str:
+    """What the payload of a `cmd/set` says, or what is wrong with it. Total: no payload raises."""
+    try:
+        parsed = _SettingPayload.model_validate(_document(payload))
+    except ValidationError as error:
+        return _reason(error, _SettingPayload)[1]
+    except _UnreadableError as error:
+        return str(error)
+    return SettingChange(parsed.setting, parsed.value)
+
+
+def encode_setting(setting: str, value: SupportsFloat) -> bytes:
+    """Payload of a `cmd/set`. Raises like `encode_twist`."""
+    return _checked({"setting": setting, "value": _number("value", value)}, _SettingPayload)
+
+
 def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
     """Payload of `odometry`."""
     twist = odometry.twist._asdict() if odometry.twist else dict.fromkeys(Twist._fields)
@@ -336,7 +370,7 @@ def encode_truth(pose: Pose, t: float) -> bytes:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Answer of `cmd/reset` and `cmd/reference`."""
+    """Answer of `cmd/reset`, `cmd/reference` and `cmd/set`."""
     return _json(ResetAnswer(reply.ok, reply.reason))
 
 

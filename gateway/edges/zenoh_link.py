@@ -8,7 +8,7 @@ one publisher thread.
 Anyone may put, delete or get `**`, which reaches every key. Therefore:
 - a twist drives only when it was put on exactly the key of a configured source; a sample likewise of a sensor;
 - whatever reaches `cmd/stop` stops, also a delete or a wildcard: a stop too many is safe, a missed one is not;
-- a reset or a reference counts only when asked by its exact key, because a get on `**` is how people look around;
+- a reset, a reference or a setting counts only when asked by its exact key: a get on `**` is how people look around;
 - everything else under `cmd/` and `sensor/` is refused and reported.
 """
 
@@ -83,7 +83,7 @@ class ZenohLink:
         self._receivers.subscribe(self._key(keys.SENSORS), self._refuse_strange_sample, ring=MAX_STRANGERS)
         answers = iter(self._questions.next_reply, END)
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
-        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference)):
+        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference), (keys.SET, _set)):
             self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
         self._receivers.answer(self._key(keys.STATUS), self._answer_status, ring=MAX_LOOKS)
         answer_config = partial(self._answer_config, config_text.encode())
@@ -244,3 +244,10 @@ def _reset(_: bytes, received_ns: int) -> Request:
 def _reference(payload: bytes, received_ns: int) -> Request | str:
     reference = messages.parse_reference(payload)
     return reference if isinstance(reference, str) else Request(RequestKind.REFERENCE, 0, received_ns, *reference)
+
+
+def _set(payload: bytes, received_ns: int) -> Request | str:
+    change = messages.parse_setting(payload)
+    if isinstance(change, str):
+        return change
+    return Request(RequestKind.SET, 0, received_ns, setting=change.setting, value=change.value)

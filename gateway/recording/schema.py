@@ -157,7 +157,7 @@ def _refusal(row: Row) -> Refusal:
 
 
 def _request_rows(record: Record) -> Sequence[Row]:
-    return [(r.kind.value, r.id, r.received_ns, r.motor, r.angle) for r in record.inputs.requests]
+    return [(r.kind.value, *r[1:]) for r in record.inputs.requests]
 
 
 def _request(row: Row) -> Request:
@@ -233,7 +233,7 @@ REFUSALS = Table(
 REQUESTS = Table(
     "requests",
     {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT}
-    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT},
+    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT},
     _request_rows,
     each(_request),
 )
@@ -310,4 +310,5 @@ def status_row(status: Status) -> Row:
     named["sources"] = [source._asdict() for source in status.sources]
     named["motors"] = [motor._asdict() for motor in status.motors]
     named["sensors"] = [sensor._asdict() for sensor in status.sensors]
+    named["settings"] = [setting._asdict() for setting in status.settings]
     return (msgspec.json.encode(named).decode(),)

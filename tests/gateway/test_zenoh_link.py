@@ -474,6 +474,35 @@ def test_a_wrong_reference_is_refused_at_once(
     assert not loop.requests
 
 
+def test_a_setting_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(client.set, "speed_override", np.float64(0.5))
+        loop.until(lambda: loop.requests)
+        (request,) = loop.requests
+        assert (request.kind, request.setting, request.value) == (RequestKind.SET, "speed_override", 0.5)
+        loop.link.reply(Reply(request.id, False, "too fast"))
+        assert asking.result() == ResetAnswer(False, "too fast")
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b'{"setting":"speed_override"}', "value is missing"),
+        (b'{"setting":"Speed","value":1}', "setting = 'Speed': must be the name of a setting"),
+        (b'{"setting":"speed_override","value":NaN}', "value = nan: must be a number"),
+        (b"", "must be a JSON object"),
+    ],
+)
+def test_a_wrong_setting_is_refused_at_once(loop: Loop, stranger: zenoh.Session, payload: bytes, words: str) -> None:
+    (reply,) = stranger.get("moby/cmd/set", payload=payload, timeout=TIMEOUT_S)
+    assert reply.ok is not None
+    answer = decode_reply(reply.ok.payload.to_bytes())
+    assert answer is not None
+    assert words in str(answer.reason)
+    loop.cycle()
+    assert not loop.requests
+
+
 def test_a_crowd_that_asks_is_answered_each(loop: Loop, stranger: zenoh.Session) -> None:
     """Those in flight by the loop, each with its own words; all others at once that there are too many."""
     answers = list[ResetAnswer | None]()
@@ -507,7 +536,7 @@ def test_after_the_crowd_there_is_room_again(loop: Loop, client: Client, strange
 def test_looking_around_asks_for_nothing(loop: Loop, stranger: zenoh.Session) -> None:
     replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
     answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
-    for rest in ("cmd/reset", "cmd/reference"):
+    for rest in ("cmd/reset", "cmd/reference", "cmd/set"):
         assert NOT_EXACT in answers[f"moby/{rest}"]
     loop.cycle()
     assert not loop.requests

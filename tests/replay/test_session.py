@@ -40,6 +40,7 @@ from gateway.types import (
     RequestKind,
     SensorSample,
     SensorStatus,
+    SettingStatus,
     SourceStatus,
     Status,
     Trace,
@@ -85,6 +86,7 @@ STATUS = Status(
     dropped_records=0,
     cycle=3,
     sensors=(SensorStatus("imu", "heading", (1.5,), 0.01, 0),),
+    settings=(SettingStatus("speed_override", 0.5, "of limits.velocity", 0.05, 1.0),),
 )
 
 integers = st.integers(-(2**63), 2**63 - 1)
@@ -122,7 +124,9 @@ inputs = st.builds(
     ).map(tuple),
     refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
     requests=st.lists(
-        st.builds(Request, st.sampled_from(RequestKind), integers, integers, st.none() | texts, st.none() | numbers),
+        st.builds(
+            Request, st.sampled_from(RequestKind), *[integers] * 2, *[st.none() | texts, st.none() | numbers] * 2
+        ),
         max_size=2,
     ).map(tuple),
     samples=st.lists(
