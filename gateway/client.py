@@ -26,7 +26,7 @@ from gateway.config import NAME_PATTERN
 from gateway.edges import keys, messages
 from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, StateMessage, TruthMessage
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
-from gateway.types import ZERO_TWIST, Mode, TwistFrame
+from gateway.types import ZERO_TWIST, Mode, Region, TwistFrame
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
@@ -76,7 +76,7 @@ class Client:
         alive = self._key(keys.ALIVE)
         self._receivers.watch(alive, lambda sample: self._set_alive(sample.kind == zenoh.SampleKind.PUT))
 
-    def send_twist(
+    def send_twist(  # noqa: PLR0913  # all that a command may say
         self,
         vx: SupportsFloat,
         vy: SupportsFloat,
@@ -85,9 +85,14 @@ class Client:
         source: str,
         frame: TwistFrame | None = None,
         sequence: SupportsIndex | None = None,
+        width_rate: SupportsFloat | None = None,
+        path_rate: SupportsFloat | None = None,
+        region: Region | None = None,
     ) -> None:
         """Puts one command, any kind of number; without `sequence` the client counts itself.
 
+        `width_rate` (m/s), `path_rate` (rad/s, how fast the direction of the path turns) and `region` are for chassis
+        that can do so; the others refuse what they cannot.
         Raises ValueError, naming axis and range, for a twist that no robot takes; TypeError for what is no number.
         """
         payload = messages.encode_twist(
@@ -96,6 +101,9 @@ class Client:
             sequence=self._sequence + 1 if sequence is None else sequence,
             stamp=time.clock_gettime(_STAMP_CLOCK),
             sender=self._sender,
+            width_rate=width_rate,
+            path_rate=path_rate,
+            region=region,
         )
         self._sequence = self._sequence + 1 if sequence is None else index(sequence)
         self._commander(source).put(payload)

@@ -53,11 +53,21 @@ class TwistFrame(Enum):
     ODOM = "odom"
 
 
+class Region(Enum):
+    """Which way round a chassis whose wheels lead or trail its body is to go."""
+
+    ANY = "any"
+    PUSH = "push"  # the body in front of the wheels, which push it
+    PULL = "pull"  # the wheels in front
+
+
 class TwistCommand(NamedTuple):
     """A valid request from outside. `received_ns`: from when its age counts, never after its arrival.
 
     `stamped`: the sender told when it was sent, and `received_ns` allows for the delay on its way.
     `sender`: which of the processes that may use this source; None where it does not say.
+    `width_rate`: m/s by which the wheels go apart; `path_rate`: rad/s by which the direction of the path turns, a hint.
+    What of these and of the regions a chassis can do is said by its drive law.
     """
 
     source: str
@@ -67,6 +77,14 @@ class TwistCommand(NamedTuple):
     received_ns: int
     sender: str | None = None
     stamped: bool = False
+    width_rate: float | None = None
+    path_rate: float | None = None
+    region: Region = Region.ANY
+
+    @property
+    def still(self) -> bool:
+        """Whether it asks for no motion of any kind."""
+        return self.twist == ZERO_TWIST and not self.width_rate
 
 
 class SensorKind(Enum):
@@ -115,6 +133,7 @@ class RefusalCode(Enum):
     UNKNOWN_SENSOR = "unknown_sensor"
     OLD_SEQUENCE = "old_sequence"
     STALE = "stale"  # its stamp says that it was too long on its way
+    UNSUPPORTED = "unsupported"  # this chassis cannot do it
     SECOND_SENDER = "second_sender"  # another sender holds this source
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import Attitude, Twist
+from gateway.types import Attitude, Region, Twist, TwistCommand
 
 
 class Measured(NamedTuple):
@@ -57,12 +57,36 @@ class Motion(NamedTuple):
     limits: tuple[str, ...] = ()
 
 
+class Abilities(NamedTuple):
+    """What of a command a chassis can do besides its twist; what it cannot is refused and moves nothing."""
+
+    width: bool = False  # the wheels can go apart
+    regions: frozenset[Region] = frozenset({Region.ANY})
+
+    def objection(self, command: TwistCommand) -> str | None:
+        """Why this command is none for this chassis; None: it is one."""
+        if command.width_rate is not None and not self.width:
+            return f"width_rate = {command.width_rate:g}: must be left out: the width of this chassis is fixed"
+        if command.region not in self.regions:
+            known = " or ".join(repr(region.value) for region in Region if region in self.regions)
+            return f"region = {command.region.value!r}: must be {known} on this chassis"
+        return None
+
+
 class DriveLaw(Protocol):
     """How one kind of chassis moves as the setpoint says. State owner; called once per cycle."""
+
+    @property
+    def abilities(self) -> Abilities:
+        """What it can do besides twists; the same for ever."""
+        ...
 
     def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
         ...
+
+
+_TWISTS = Abilities()
 
 
 class SpeedLaw:
@@ -79,6 +103,11 @@ class SpeedLaw:
         self._period = period  # s
         self._blind = False
         self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
+
+    @property
+    def abilities(self) -> Abilities:
+        """Twists and nothing else."""
+        return _TWISTS
 
     def motion(self, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""

@@ -74,7 +74,7 @@ class Engine:
         self._kinematics = robot.kinematics
         self._law = robot.law
         self._motors = Motors(robot)
-        self._arbiter = Arbiter(config.commands.source)
+        self._arbiter = Arbiter(config.commands.source, robot.law.abilities)
         self._velocity = config.limits.velocity.as_twist()
         self._limiter = TwistLimiter(
             velocity=self._velocity,
@@ -118,7 +118,7 @@ class Engine:
         """One cycle."""
         now_ns = inputs.now_ns
         dt = self._elapsed(now_ns)
-        self._receive(inputs)
+        inputs = self._receive(inputs)
         self._measured = measured = self._measure(now_ns, dt)
         health = self._judge(measured)
         selection = self._arbiter.select(now_ns)
@@ -193,10 +193,10 @@ class Engine:
             self._health.look_anew()
         return min(elapsed, longest)
 
-    def _receive(self, inputs: Inputs) -> None:
+    def _receive(self, inputs: Inputs) -> Inputs:
+        """Take everything in; commands that this chassis cannot follow are among the refusals of what is given back."""
         self._motors.receive(inputs.frames)
-        for command in inputs.commands:
-            self._arbiter.receive(command)
+        refused = [refusal for refusal in map(self._arbiter.receive, inputs.commands) if refusal is not None]
         for sample in inputs.samples:
             self._sensors.receive(sample)
         for event in inputs.bus_events:
@@ -204,6 +204,7 @@ class Engine:
                 self._buses_down[event.bus] = event.text
             elif event.kind is BusEventKind.UP:
                 self._buses_down.pop(event.bus, None)
+        return inputs._replace(refusals=(*inputs.refusals, *refused)) if refused else inputs
 
     def _measure(self, now_ns: int, dt: float) -> Measured:
         measured = self._motors.measure(now_ns, dt)
@@ -352,7 +353,7 @@ class Engine:
                 reduced=not all(health.usable),
                 commanded=selection.command is not None,
                 start=selection.command is not None
-                and selection.command.twist == ZERO_TWIST
+                and selection.command.still
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
                 overdue=overdue,

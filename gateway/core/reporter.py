@@ -6,7 +6,6 @@ from math import floor
 from gateway.config import RobotConfig
 from gateway.core.health import Fault
 from gateway.types import (
-    ZERO_TWIST,
     BusEvent,
     BusEventKind,
     Event,
@@ -211,7 +210,7 @@ def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | 
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
     if faults and mode is not Mode.ESTOP:
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
-    if mode is Mode.IDLE and command is not None and command.twist != ZERO_TWIST:
+    if mode is Mode.IDLE and command is not None and not command.still:
         return f"waiting for a zero command from {command.source}"
     return _REASONS.get(mode)
 

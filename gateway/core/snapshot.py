@@ -35,7 +35,7 @@ OWNERS: Mapping[str, frozenset[str]] = {
         {"_kinematics", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
-    "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
+    "gateway.core.arbiter.Arbiter": frozenset({"_abilities", "_timeout_ns"}),
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),
     "gateway.core.odometry.WheelOdometry": frozenset({"_kinematics", "_top_speeds"}),
     "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),

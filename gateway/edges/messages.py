@@ -2,7 +2,7 @@
 
 | key                  | verb       | payload                                                                        |
 |----------------------|------------|--------------------------------------------------------------------------------|
-| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz"}` and, each optional, `"frame", "seq", "stamp", "sender"`   |
+| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz"}` and what is optional, see below                           |
 | `sensor/<name>`      | put        | by the sensor's kind, see below                                                |
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
@@ -17,7 +17,9 @@
 | `alive`              | liveliness | there while the gateway runs                                                   |
 
 A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
-MAX_PAYLOAD bytes. `frame` is "body" (when left out) or "odom". `seq` grows by any step from one command to the next.
+MAX_PAYLOAD bytes. Optional: `frame`, "body" (when left out) or "odom"; `width_rate`, m/s; `path_rate`, rad/s; `region`,
+"any" (when left out), "push" or "pull"; what the chassis cannot do of these is refused by the core.
+`seq` grows by any step from one command to the next.
 A sample of a sensor: `{"heading"}`, `{"roll", "pitch"}` and, each optional, `"roll_rate", "pitch_rate", "yaw_rate"`, or
 `{"range"}`; rad, rad/s, m, and as for a twist, each optional, `"seq", "stamp", "sender"`. The same rules.
 `stamp` is when it was sent, in seconds of a clock of the sender's own that never stands still and is never set;
@@ -42,6 +44,7 @@ from gateway.types import (
     Pose,
     Refusal,
     RefusalCode,
+    Region,
     Reply,
     SensorKind,
     SensorSample,
@@ -54,6 +57,7 @@ from gateway.types import (
 MAX_PAYLOAD = 1024  # bytes; a full twist is below 200
 MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong unit
 MAX_TURN = 50.0  # rad/s: likewise
+MAX_WIDTH_RATE = 5.0  # m/s
 MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
 MAX_STAMP = 1e10  # s, three centuries; a double still tells microseconds apart
 MAX_SETTING = 1e9  # the range of each setting is the core's business
@@ -69,6 +73,9 @@ _ALLOWED = {
     "vy": f"a number from {-MAX_SPEED:g} to {MAX_SPEED:g} m/s",
     "wz": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "frame": "'body' or 'odom'",
+    "width_rate": f"a number from {-MAX_WIDTH_RATE:g} to {MAX_WIDTH_RATE:g} m/s",
+    "path_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "region": "'any', 'push' or 'pull'",
     "seq": "a whole number from 0 to 2^63-1",
     "stamp": f"a number from 0 to {MAX_STAMP:g} s",
     "sender": f"text that matches {SENDER_PATTERN}",
@@ -107,6 +114,9 @@ class _TwistPayload(_SentPayload):
     vy: Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED)]
     wz: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
     frame: Literal["body", "odom"] = "body"
+    width_rate: Annotated[float, Field(ge=-MAX_WIDTH_RATE, le=MAX_WIDTH_RATE)] | None = None
+    path_rate: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)] | None = None
+    region: Literal["any", "push", "pull"] = "any"
 
 
 class _HeadingPayload(_SentPayload):
@@ -246,7 +256,17 @@ def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistMessag
     except _UnreadableError as error:
         return Refusal(source, error.code, str(error), received_ns)
     twist = Twist(parsed.vx, parsed.vy, parsed.wz)
-    command = TwistCommand(source, twist, TwistFrame(parsed.frame), parsed.seq, received_ns, parsed.sender)
+    command = TwistCommand(
+        source,
+        twist,
+        TwistFrame(parsed.frame),
+        parsed.seq,
+        received_ns,
+        parsed.sender,
+        width_rate=parsed.width_rate,
+        path_rate=parsed.path_rate,
+        region=Region(parsed.region),
+    )
     return TwistMessage(command, _nanoseconds(parsed.stamp))
 
 
@@ -257,6 +277,9 @@ def encode_twist(
     sequence: SupportsIndex | None = None,
     stamp: float | None = None,
     sender: str | None = None,
+    width_rate: SupportsFloat | None = None,
+    path_rate: SupportsFloat | None = None,
+    region: Region | None = None,
 ) -> bytes:
     """What a commander puts on `cmd/twist/<source>`; any kind of number (numpy's, fractions) travels as a number.
 
@@ -268,6 +291,9 @@ def encode_twist(
         "seq": None if sequence is None else index(sequence),
         "stamp": stamp,
         "sender": sender,
+        "width_rate": None if width_rate is None else _number("width_rate", width_rate),
+        "path_rate": None if path_rate is None else _number("path_rate", path_rate),
+        "region": None if region is None else region.value,
     }
     return _checked(document | {key: value for key, value in optional.items() if value is not None}, _TwistPayload)
 

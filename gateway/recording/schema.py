@@ -31,6 +31,7 @@ from gateway.types import (
     Pose,
     Refusal,
     RefusalCode,
+    Region,
     Reply,
     Request,
     RequestKind,
@@ -137,14 +138,15 @@ GAP_COLUMNS = {"first_cycle": Kind.INT, "last_cycle": Kind.INT, "reason": Kind.T
 
 def _command_rows(record: Record) -> Sequence[Row]:
     return [
-        (c.source, *c.twist, c.frame.value, c.sequence, c.received_ns, c.sender, c.stamped)
+        (c.source, *c.twist, c.frame.value, *c[3:9], None if c.region is Region.ANY else c.region.value)
         for c in record.inputs.commands
     ]
 
 
 def _command(row: Row) -> TwistCommand:
-    source, vx, vy, wz, frame, *rest = row
-    return TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *rest)
+    source, vx, vy, wz, frame, *rest, region = row
+    command = TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *rest)
+    return command if region is None else command._replace(region=Region(region))
 
 
 def _refusal_rows(record: Record) -> Sequence[Row]:
@@ -220,7 +222,8 @@ FRAMES_IN = Table("frames_in", CAN_COLUMNS, lambda record: record.inputs.frames,
 COMMANDS = Table(
     "commands",
     {"source": Kind.TEXT, "vx": Kind.FLOAT, "vy": Kind.FLOAT, "wz": Kind.FLOAT, "frame": Kind.TEXT}
-    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL},
+    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL}
+    | {"width_rate": Kind.MAYBE_FLOAT, "path_rate": Kind.MAYBE_FLOAT, "region": Kind.MAYBE_TEXT},
     _command_rows,
     each(_command),
 )

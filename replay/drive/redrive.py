@@ -142,7 +142,14 @@ def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Clie
     for due_ns, one in given:
         time.sleep(max(0.0, (begin_ns + due_ns - time.monotonic_ns()) * 1e-9))
         if isinstance(one, TwistCommand):
-            client.send_twist(*one.twist, source=one.source, frame=one.frame)
+            client.send_twist(
+                *one.twist,
+                source=one.source,
+                frame=one.frame,
+                width_rate=one.width_rate,
+                path_rate=one.path_rate,
+                region=one.region,
+            )
         elif isinstance(one, SensorSample):
             client.sense(one.source, **dict(zip(QUANTITIES[kinds[one.source]], one.values, strict=True)))
         elif one.kind is RequestKind.ESTOP:

@@ -21,6 +21,7 @@ from gateway.types import (
     Inputs,
     Mode,
     Outputs,
+    Region,
     Request,
     RequestKind,
     Twist,
@@ -883,3 +884,17 @@ def test_a_reset_on_the_way_to_rest_gives_no_motor_back() -> None:
         assert stand.is_released()
         stand.cycle()
     assert stand.is_in(IDLE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_region_that_the_chassis_has_not_is_refused_in_words_and_moves_nothing(name: str) -> None:
+    """No drive law of today honours one."""
+    stand = Stand(name)
+    stand.drive()
+    zero = TwistCommand("teleop", ZERO_TWIST, TwistFrame.BODY, None, stand.now_ns, "teleop", stamped=True)
+    asked = zero._replace(twist=FORWARD, region=Region.PULL)
+    out = stand.engine.step(Inputs(1, stand.now_ns + 4 * MS, commands=(asked,)))
+    (event,) = [event for event in out.events if event.code == "refused_unsupported"]
+    assert event.text == "teleop: region = 'pull': must be 'any' on this chassis"
+    assert out.status is not None
+    assert out.status.refused == 1
