@@ -11,6 +11,7 @@ import pytest
 from drivers.contract import CanFrame
 from gateway.recording import segment
 from gateway.recording.block import DAMAGED, Block, packed, unpacked
+from gateway.recording.cells import CODINGS
 from gateway.recording.packets import Gap, Record
 from gateway.recording.schema import FRAMES_IN, TABLES, Kind
 from gateway.types import Inputs, Twist
@@ -56,6 +57,13 @@ def test_no_flipped_bit_passes_as_what_was_written() -> None:
             assert repr(cycle_values(after, place)) == values[place]
     assert read > 300
     assert changed > 0.9 * read
+
+
+def test_lengths_that_add_up_only_because_they_wrap_are_refused() -> None:
+    """Four of 2^62 are 2^64, which is nothing in 64 bits."""
+    lengths = CODINGS[Kind.INT].pack([2**62] * 4).parts()
+    with pytest.raises(ValueError, match="do not fit"):
+        CODINGS[Kind.FLOATS].unpack([*lengths, b""], 4)
 
 
 def test_a_change_of_one_frame_spoils_one_cycle() -> None:
