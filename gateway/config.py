@@ -188,6 +188,17 @@ class Bus(_Section):
     interface: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,32}$", description="a python-can interface")]
     channel: Annotated[str, Field(min_length=1, max_length=64)]
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)]
+    fd: bool = False  # CAN FD frames pass too
+    data_bitrate: Annotated[int, Field(ge=100_000, le=8_000_000)] | None = None  # of CAN FD with a bit rate switch
+
+    @model_validator(mode="after")
+    def _faster_only_with_fd(self) -> Self:
+        if self.data_bitrate is not None and not (self.fd and self.data_bitrate >= self.bitrate):
+            message = (
+                f"data_bitrate = {self.data_bitrate}: needs fd = true and must be at least bitrate = {self.bitrate}"
+            )
+            raise ValueError(message)
+        return self
 
 
 class Source(_Section):

@@ -183,7 +183,7 @@ class BusEventKind(Enum):
     ERROR_ACTIVE = "error_active"
     RESTARTED = "restarted"
     RX_OVERFLOW = "rx_overflow"
-    RX_MALFORMED = "rx_malformed"  # the adapter handed over what no classic CAN bus carries: dropped
+    RX_MALFORMED = "rx_malformed"  # the adapter handed over what the bus cannot carry: dropped
 
 
 class BusEvent(NamedTuple):

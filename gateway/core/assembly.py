@@ -80,6 +80,15 @@ def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[
         for bus in config.bus
         for conflict in id_conflicts([group.driver.ids() for group in groups if group.bus == bus.name])
     ]
+    conflicts += [
+        f"bus {bus.name}: fd = false: {item.name} is a CAN FD frame"
+        for bus in config.bus
+        if not bus.fd
+        for group in groups
+        if group.bus == bus.name
+        for item in group.driver.traffic(loop_rate_hz=rate)
+        if item.fd
+    ]
     if conflicts:
         raise ConfigError(origin, conflicts)
     return groups

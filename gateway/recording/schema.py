@@ -73,8 +73,8 @@ Values = Callable[[Iterable[Row]], Iterable[Any]]
 class Table(NamedTuple):
     """What the rows of a block hold, how a cycle becomes rows and how rows become values again.
 
-    A column that an older block does not have reads as None, zero, False or empty; one that this table does not have
-    is passed over.
+    A column that a block does not have, because it is older or because it would say nothing else (`block`), reads as
+    None, zero, False or empty; one that this table does not have is passed over.
     """
 
     name: str
@@ -209,7 +209,6 @@ def _odometry(row: Row) -> Odometry:
     return Odometry(Pose(x, y, theta), twist, tuple(covariance), residual)
 
 
-# Data takes the 64 bytes of CAN FD; its flags will be two more columns, which older blocks read as false.
 CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "bus": Kind.TEXT,
     "id": Kind.ID,
@@ -217,6 +216,8 @@ CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "extended": Kind.BOOL,
     "remote": Kind.BOOL,
     "received_ns": Kind.MAYBE_INT,
+    "fd": Kind.BOOL,
+    "bit_rate_switch": Kind.BOOL,
 }
 FRAMES_IN = Table("frames_in", CAN_COLUMNS, lambda record: record.inputs.frames, tuples(CanFrame))
 COMMANDS = Table(

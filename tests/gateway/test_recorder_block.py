@@ -120,6 +120,19 @@ def test_columns_of_a_newer_and_of_an_older_recorder() -> None:
         block.tables["frames_in"].values(named, 0, 1)
 
 
+def test_flags_that_no_frame_has_take_no_place() -> None:
+    """Classic traffic is as small as it was before there were flags of CAN FD."""
+    records = list(drive(50))
+    plain: Plain = msgspec.msgpack.decode(packed(records))
+    assert set(plain["frames_in"]) == {"bus", "id", "data", "received_ns"}
+    assert set(plain["frames_out"]) == {"bus", "id", "data"}
+    (frame, *others) = records[7].inputs.frames
+    modern = (frame._replace(fd=True, bit_rate_switch=True, data=bytes(64)), *others)
+    records[7] = Record(records[7].inputs._replace(frames=modern), records[7].outputs, records[7].timing)
+    assert set(msgspec.msgpack.decode(packed(records))["frames_in"]) >= {"fd", "bit_rate_switch"}
+    assert unpacked(packed(records)).tables["frames_in"].values(FRAMES_IN, 42, 48) == modern
+
+
 @pytest.mark.parametrize(
     "frame",
     [

@@ -104,6 +104,8 @@ frames = st.builds(
     st.booleans(),
     st.booleans(),
     st.none() | integers,
+    st.booleans(),
+    st.booleans(),
 )
 inputs = st.builds(
     Inputs,
