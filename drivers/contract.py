@@ -15,9 +15,15 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
+FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # bytes that a CAN FD frame can carry (ISO 11898-1:2015)
+
 
 class CanFrame(NamedTuple):
-    """One classic CAN frame. `received_ns` is CLOCK_MONOTONIC; None on a frame that is to be sent."""
+    """One CAN frame. `received_ns` is CLOCK_MONOTONIC; None on a frame that is to be sent.
+
+    Classic: up to 8 bytes of data. `fd`: one of CAN FD, of one of FD_LENGTHS, never remote; `bit_rate_switch`: its data
+    go at the faster rate of the bus.
+    """
 
     bus: str
     id: int
@@ -25,6 +31,8 @@ class CanFrame(NamedTuple):
     extended: bool = False
     remote: bool = False
     received_ns: int | None = None
+    fd: bool = False
+    bit_rate_switch: bool = False
 
 
 class CommandKind(Enum):
@@ -126,6 +134,8 @@ class Traffic(NamedTuple):
     extended: bool
     length: int
     rate_hz: float
+    fd: bool = False
+    bit_rate_switch: bool = False
 
 
 class ReceiveFilter(NamedTuple):

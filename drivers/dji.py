@@ -228,9 +228,9 @@ class DjiDriver:
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
-        bus, identifier, data, extended, remote, received_ns = frame
+        bus, identifier, data, extended, remote, received_ns, fd, _ = frame
         motor = self._by_id.get(identifier)
-        if motor is None or received_ns is None or extended or remote or bus != self._bus:
+        if motor is None or received_ns is None or extended or remote or fd or bus != self._bus:
             return False
         return motor.take(data, bus, received_ns)
 
@@ -271,7 +271,7 @@ class DjiDriver:
 
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
         """A sent or received frame in words, or None when it is not of these motors, too short or impossible."""
-        if frame.bus != self._bus or frame.extended or frame.remote or len(frame.data) < _COMMAND.size:
+        if frame.bus != self._bus or frame.extended or frame.remote or frame.fd or len(frame.data) < _COMMAND.size:
             return None
         for identifier, first in self._command_frames:
             if frame.id == identifier:

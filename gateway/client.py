@@ -3,10 +3,12 @@
     with Client("moby") as client:
         client.wait_alive(5.0)
         client.send_twist(0.2, 0.0, 0.0, source="joy")
+        client.sense("imu", heading=1.57)
 
 It may be opened before the gateway: the connection is retried until it stands, and again after it breaks.
 """
 
+import itertools
 import re
 import secrets
 import time
@@ -31,7 +33,7 @@ from gateway.edges.messages import (
 )
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.sections import NAME_PATTERN
-from gateway.types import ZERO_TWIST, Mode, TwistFrame
+from gateway.types import ZERO_TWIST, Mode, Region, TwistFrame
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
@@ -64,9 +66,11 @@ class Client:
         self._truth: TruthMessage | None = None
         self._events: deque[EventMessage] = deque(maxlen=MAX_EVENTS)
         self._commanders: dict[str, zenoh.Publisher] = {}
+        self._sensors: dict[str, zenoh.Publisher] = {}
         self._sender = secrets.token_hex(4)
         # Larger than that of a former client on this machine, whose numbers would make ours look old.
         self._sequence = time.monotonic_ns() // 1000
+        self._samples = itertools.count(self._sequence)  # sensors may be read in another thread
         self._session = open_zenoh(
             listen=[], connect=connect, max_message_size=MAX_MESSAGE_SIZE, config_file=config_file
         )
@@ -79,7 +83,7 @@ class Client:
         alive = self._key(keys.ALIVE)
         self._receivers.watch(alive, lambda sample: self._set_alive(sample.kind == zenoh.SampleKind.PUT))
 
-    def send_twist(
+    def send_twist(  # noqa: PLR0913  # all that a command may say
         self,
         vx: SupportsFloat,
         vy: SupportsFloat,
@@ -88,9 +92,14 @@ class Client:
         source: str,
         frame: TwistFrame | None = None,
         sequence: SupportsIndex | None = None,
+        width_rate: SupportsFloat | None = None,
+        path_rate: SupportsFloat | None = None,
+        region: Region | None = None,
     ) -> None:
         """Puts one command, any kind of number; without `sequence` the client counts itself.
 
+        `width_rate` (m/s), `path_rate` (rad/s, how fast the direction of the path turns) and `region` are for chassis
+        that can do so; the others refuse what they cannot.
         Raises ValueError, naming axis and range, for a twist that no robot takes; TypeError for what is no number.
         """
         payload = messages.encode_twist(
@@ -99,9 +108,25 @@ class Client:
             sequence=self._sequence + 1 if sequence is None else sequence,
             stamp=time.clock_gettime(_STAMP_CLOCK),
             sender=self._sender,
+            width_rate=width_rate,
+            path_rate=path_rate,
+            region=region,
         )
         self._sequence = self._sequence + 1 if sequence is None else index(sequence)
         self._commander(source).put(payload)
+
+    def sense(self, sensor: str, **values: SupportsFloat | None) -> None:
+        """Puts one sample of a sensor: `heading=`, `roll=` and `pitch=` with known rates, or `range=`; rad, rad/s, m.
+
+        Raises ValueError, naming quantity and range, for what no robot takes; TypeError for what is no number.
+        """
+        payload = messages.encode_sample(
+            values, sequence=next(self._samples), stamp=time.clock_gettime(_STAMP_CLOCK), sender=self._sender
+        )
+        if sensor not in self._sensors:
+            rest = keys.sample(_checked(sensor))
+            self._sensors[sensor] = self._publisher(rest, zenoh.CongestionControl.DROP)
+        self._sensors[sensor].put(payload)
 
     def stop(self, timeout: float = 2.0) -> bool:
         """Latched emergency stop, put again until the robot's state says so; False: it did not in time.
@@ -130,6 +155,13 @@ class Client:
         Raises ValueError for an angle out of range or what is no name.
         """
         return self._ask(keys.REFERENCE, messages.encode_reference(motor, angle), timeout)
+
+    def set(self, setting: str, value: SupportsFloat, timeout: float = 2.0) -> ResetAnswer:
+        """Another value of a setting, until the robot is restarted; which there are is in its state.
+
+        Raises ValueError for what is no name, TypeError for what is no number.
+        """
+        return self._ask(keys.SET, messages.encode_setting(setting, value), timeout)
 
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""

@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from gateway.chassis import AnyRobot
 from gateway.sections import Limit, Name, NonNegative, Positive, Rate, Section
-from gateway.types import PLANAR, Rates, Twist
+from gateway.types import PLANAR, Rates, SensorKind, Twist
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
 _File = TypeVar("_File", bound=BaseModel)
@@ -169,6 +169,17 @@ class Bus(Section):
     interface: Annotated[str, Field(pattern=r"^[a-z0-9_]{1,32}$", description="a python-can interface")]
     channel: Annotated[str, Field(min_length=1, max_length=64)]
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)]
+    fd: bool = False  # CAN FD frames pass too
+    data_bitrate: Annotated[int, Field(ge=100_000, le=8_000_000)] | None = None  # of CAN FD with a bit rate switch
+
+    @model_validator(mode="after")
+    def _faster_only_with_fd(self) -> Self:
+        if self.data_bitrate is not None and not (self.fd and self.data_bitrate >= self.bitrate):
+            message = (
+                f"data_bitrate = {self.data_bitrate}: needs fd = true and must be at least bitrate = {self.bitrate}"
+            )
+            raise ValueError(message)
+        return self
 
 
 class Source(Section):
@@ -176,6 +187,14 @@ class Source(Section):
 
     name: Name
     priority: Annotated[int, Field(ge=0, le=255)]
+    timeout: Annotated[float, Field(ge=0.02, le=2.0)]
+
+
+class Sensor(Section):
+    """One sensor that does not come over CAN; older than its timeout (s) its sample is none."""
+
+    name: Name
+    kind: SensorKind
     timeout: Annotated[float, Field(ge=0.02, le=2.0)]
 
 
@@ -219,6 +238,8 @@ class RobotConfig(Section):
     motor: Annotated[list[Motor], Field(min_length=1, max_length=32)]
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8)]
     commands: Commands
+    sensor: list[Sensor] = Field([], max_length=16)
+    settings: dict[Name, float] = Field({})  # what `gateway.core.settings` lists, as it is at the start
     zenoh: Zenoh = Zenoh()
     recording: Recording = Recording()
 
@@ -231,6 +252,9 @@ class RobotConfig(Section):
         problems += _duplicates("commands.source.priority", (source.priority for source in self.commands.source))
         for key, limits in self.limits.axes().items():
             problems += _other_axes(f"limits.{key}", limits.__pydantic_extra__, self.robot.AXES)
+        sources = [source.name for source in self.commands.source]
+        problems += _duplicates("sensor.name", [*(sensor.name for sensor in self.sensor), *dict.fromkeys(sources)])
+        problems += _second_of_a_kind(self.sensor)
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
         problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
         if self.limits.motor_acceleration is not None:
@@ -302,6 +326,16 @@ def _duplicates(key: str, values: Iterable[object]) -> list[str]:
     seen: set[object] = set()
     doubled = {value for value in values if value in seen or seen.add(value)}  # type: ignore[func-returns-value]
     return [f"{key} = {value!r}: given twice, must be unique" for value in sorted(doubled, key=str)]
+
+
+def _second_of_a_kind(sensors: Iterable[Sensor]) -> list[str]:
+    """Nothing here chooses between two that tell the same of the body; ranges tell of a direction each."""
+    first: dict[SensorKind, str] = {}
+    return [
+        f"sensor {sensor.name}: kind = {sensor.kind.value!r}: {first[sensor.kind]} already tells it; one is allowed"
+        for sensor in sensors
+        if sensor.kind is not SensorKind.RANGE and first.setdefault(sensor.kind, sensor.name) != sensor.name
+    ]
 
 
 def _shared_channels(buses: Iterable[Bus]) -> list[str]:

@@ -41,6 +41,7 @@ from gateway.types import (
     Reply,
     Request,
     RequestKind,
+    SensorSample,
     Status,
     Trace,
     TwistCommand,
@@ -52,14 +53,15 @@ _T = TypeVar("_T")
 EXIT_CORE_BUG = 70  # EX_SOFTWARE of sysexits.h
 EXIT_LINK_LOST = 69  # EX_UNAVAILABLE
 SHUTDOWN_GRACE_NS = 1_000_000_000
-_NOTHING: tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]] = ((), (), ())
+Drained = tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request], Sequence[SensorSample]]
+_NOTHING: Drained = ((), (), (), ())
 _LOG_LEVELS = {Level.INFO: logging.INFO, Level.WARNING: logging.WARNING, Level.ERROR: logging.ERROR}
 
 
 class Link(Protocol):
     """What the loop needs of the commanding side (Zenoh)."""
 
-    def drain(self, now_ns: int) -> tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]]: ...
+    def drain(self, now_ns: int) -> Drained: ...
 
     def reply(self, reply: Reply) -> None: ...
 
@@ -120,7 +122,7 @@ class Service:
         after_cycle: Callable[[int, Outputs], None] | None = None,
     ) -> None:
         self._engine = Engine(config)
-        self._channels = layout_of(config.robot)
+        self._channels = layout_of(config)
         self._trace: Trace | None = None  # of the newest cycle
         self._bus = bus
         self._link = link
@@ -191,7 +193,7 @@ class Service:
         frames, bus_events = self._bus.receive(now_ns)
         if bus_events:
             self._readiness.hear(bus_events)
-        commands, refusals, requests = self._drain(now_ns)
+        commands, refusals, requests, samples = self._drain(now_ns)
         inputs = Inputs(
             cycle=self._cycle,
             now_ns=now_ns,
@@ -200,6 +202,7 @@ class Service:
             refusals=tuple(refusals),
             requests=(*requests, *self._kept_stop(now_ns), *self._shutdown_request(now_ns)),
             bus_events=tuple(bus_events),
+            samples=tuple(samples),
             overruns=self._overruns,
             dropped_records=self._dropped_records(),
         )
@@ -296,7 +299,7 @@ class Service:
             lost(error)
             return otherwise
 
-    def _drain(self, now_ns: int) -> tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]]:
+    def _drain(self, now_ns: int) -> Drained:
         if self._link_lost:
             return _NOTHING
         return self._try(partial(self._link.drain, now_ns), _NOTHING, self._lose_link)

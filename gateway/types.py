@@ -58,11 +58,21 @@ class TwistFrame(Enum):
     ODOM = "odom"
 
 
+class Region(Enum):
+    """Which way round a chassis whose wheels lead or trail its body is to go."""
+
+    ANY = "any"
+    PUSH = "push"  # the body in front of the wheels, which push it
+    PULL = "pull"  # the wheels in front
+
+
 class TwistCommand(NamedTuple):
     """A valid request from outside. `received_ns`: from when its age counts, never after its arrival.
 
     `stamped`: the sender told when it was sent, and `received_ns` allows for the delay on its way.
     `sender`: which of the processes that may use this source; None where it does not say.
+    `width_rate`: m/s by which the wheels go apart; `path_rate`: rad/s by which the direction of the path turns, a hint.
+    What of these and of the regions a chassis can do is said by its drive law.
     """
 
     source: str
@@ -72,10 +82,50 @@ class TwistCommand(NamedTuple):
     received_ns: int
     sender: str | None = None
     stamped: bool = False
+    width_rate: float | None = None
+    path_rate: float | None = None
+    region: Region = Region.ANY
+
+    @property
+    def still(self) -> bool:
+        """Whether it asks for no motion of any kind."""
+        return self.twist == ZERO_TWIST and not self.width_rate
+
+
+class SensorKind(Enum):
+    """What a sensor tells that does not come over CAN."""
+
+    HEADING = "heading"  # rad about the vertical, counter-clockwise, from any zero, wrapped or not: a gyro, an IMU
+    ATTITUDE = "attitude"  # roll and pitch, rad; rates about x, y, z of the body, rad/s
+    RANGE = "range"  # m to what is in front of the sensor, or drawn out of it
+
+
+class Attitude(NamedTuple):
+    """How the body leans: rad, of REP-103's axes; and how it turns, rad/s, None where the sensor does not tell."""
+
+    roll: float
+    pitch: float
+    roll_rate: float | None = None
+    pitch_rate: float | None = None
+    yaw_rate: float | None = None
+
+
+class SensorSample(NamedTuple):
+    """What one sensor told. `values`: in the order of its kind (one number, or the fields of Attitude).
+
+    `source`: the sensor's name in the robot file; the rest as of a TwistCommand.
+    """
+
+    source: str
+    values: tuple[float | None, ...]
+    sequence: int | None
+    received_ns: int
+    sender: str | None = None
+    stamped: bool = False
 
 
 class RefusalCode(Enum):
-    """Why a command from the wire was not taken."""
+    """Why a command, or a sample of a sensor, from the wire was not taken."""
 
     NOT_A_PUT = "not_a_put"
     KEY_NOT_EXACT = "key_not_exact"
@@ -85,13 +135,15 @@ class RefusalCode(Enum):
     OUT_OF_RANGE = "out_of_range"
     WRONG_FRAME = "wrong_frame"
     UNKNOWN_SOURCE = "unknown_source"
+    UNKNOWN_SENSOR = "unknown_sensor"
     OLD_SEQUENCE = "old_sequence"
     STALE = "stale"  # its stamp says that it was too long on its way
+    UNSUPPORTED = "unsupported"  # this chassis cannot do it
     SECOND_SENDER = "second_sender"  # another sender holds this source
 
 
 class Refusal(NamedTuple):
-    """A command that was not taken: who (as far as known), why, and the words for a person."""
+    """A command or sample that was not taken: who (as far as known), why, and the words for a person."""
 
     source: str
     code: RefusalCode
@@ -106,12 +158,14 @@ class RequestKind(Enum):
     RESET = "reset"
     SHUTDOWN = "shutdown"
     REFERENCE = "reference"  # somebody says at which angle a steered joint stands now
+    SET = "set"  # another value of a setting
 
 
 class Request(NamedTuple):
     """One request; `id` ties the reply to it (0: nobody waits for a reply).
 
     Only of a REFERENCE: `motor`, None for the only steered joint, and `angle`, rad at the output from its zero.
+    Only of a SET: `setting`, its name, and `value`, in its unit.
     """
 
     kind: RequestKind
@@ -119,6 +173,8 @@ class Request(NamedTuple):
     received_ns: int
     motor: str | None = None
     angle: float | None = None
+    setting: str | None = None
+    value: float | None = None
 
 
 class BusEventKind(Enum):
@@ -132,7 +188,7 @@ class BusEventKind(Enum):
     ERROR_ACTIVE = "error_active"
     RESTARTED = "restarted"
     RX_OVERFLOW = "rx_overflow"
-    RX_MALFORMED = "rx_malformed"  # the adapter handed over what no classic CAN bus carries: dropped
+    RX_MALFORMED = "rx_malformed"  # the adapter handed over what the bus cannot carry: dropped
 
 
 class BusEvent(NamedTuple):
@@ -154,6 +210,7 @@ class Inputs(NamedTuple):
     refusals: tuple[Refusal, ...] = ()
     requests: tuple[Request, ...] = ()
     bus_events: tuple[BusEvent, ...] = ()
+    samples: tuple[SensorSample, ...] = ()
     overruns: int = 0
     dropped_records: int = 0
 
@@ -237,6 +294,26 @@ class AbilityStatus(NamedTuple):
     lost: tuple[Twist, ...]
 
 
+class SensorStatus(NamedTuple):
+    """One sensor: what it tells (None: silent, or never heard), its age, and how often it jumped."""
+
+    name: str
+    kind: str
+    values: tuple[float | None, ...] | None
+    age_s: float | None
+    jumps: int
+
+
+class SettingStatus(NamedTuple):
+    """One setting that may be changed while the robot runs, and from where to where."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
 class Status(NamedTuple):
     """What a person or a fleet manager wants to know of the robot, at the status rate."""
 
@@ -252,13 +329,15 @@ class Status(NamedTuple):
     standing: bool | None
     pose: Pose
     twist: Twist | None
-    refused: int  # commands refused since start
+    refused: int  # commands and samples refused since start
     tx_dropped: int
     overruns: int
     dropped_records: int
     cycle: int
     ability: AbilityStatus
     chassis: dict[str, float | str | bool | None]  # what only this kind of chassis knows of itself
+    sensors: tuple[SensorStatus, ...] = ()
+    settings: tuple[SettingStatus, ...] = ()
 
 
 class AxisTrace(NamedTuple):
@@ -284,6 +363,9 @@ class Trace(NamedTuple):
     residuals: tuple[float | None, ...] | None  # m/s at the rim of each wheel; None where they carry no redundancy
     chassis: tuple[float | None, ...] = ()  # by the channels of its kind
     more: tuple[AxisTrace, ...] = ()  # axes of the kinematics beyond the twist
+    heading: float | None = None  # rad, as the sensor tells it
+    attitude: Attitude | None = None
+    ranges: tuple[float | None, ...] = ()  # m, of the range sensors in the order of the robot file
 
 
 class Outputs(NamedTuple):

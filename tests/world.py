@@ -13,6 +13,7 @@ from gateway.types import (
     Reply,
     Request,
     RequestKind,
+    SensorSample,
     Twist,
     TwistCommand,
     TwistFrame,
@@ -75,8 +76,14 @@ class World:
     def is_in(self, mode: Mode) -> bool:
         return self.engine.mode is mode
 
-    def cycle(self, *, commands: Iterable[TwistCommand] = (), requests: Iterable[Request] = ()) -> Outputs:
-        record = self.loop.cycle(commands=commands, requests=requests)
+    def cycle(
+        self,
+        *,
+        commands: Iterable[TwistCommand] = (),
+        requests: Iterable[Request] = (),
+        samples: Iterable[SensorSample] = (),
+    ) -> Outputs:
+        record = self.loop.cycle(commands=commands, requests=requests, samples=samples)
         self.records.append(record)
         self.events += record[1].events
         return record[1]
@@ -95,12 +102,13 @@ class World:
         frame: TwistFrame = TwistFrame.BODY,
         stamped: bool = False,
         until: Callable[[Outputs], bool] | None = None,
+        sensed: Callable[[int], Iterable[SensorSample]] = lambda _: (),
     ) -> Outputs:
-        """So many seconds with this twist streamed every 20 ms (None: silence)."""
+        """So many seconds with this twist streamed every 20 ms (None: silence). `sensed`: by the time of the cycle."""
         for index in range(round(seconds * 1e9 / self.period_ns)):
             due = twist is not None and index % 5 == 0
             commands = [self.command(twist, source, frame, stamped=stamped)] if due and twist is not None else []
-            outputs = self.cycle(commands=commands)
+            outputs = self.cycle(commands=commands, samples=sensed(self.now_ns + self.period_ns))
             if until is not None and until(outputs):
                 break
         return self.last

@@ -81,9 +81,9 @@ class OdriveDriver:
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
-        _, identifier, data, extended, remote, received_ns = frame
+        bus, identifier, data, extended, remote, received_ns, fd, _ = frame
         route = self._routes.get(identifier)
-        if route is None or received_ns is None or extended or remote or frame.bus != self._bus:
+        if route is None or received_ns is None or extended or remote or fd or bus != self._bus:
             return False
         unpack, needed, size, take = route
         length = len(data)
@@ -136,7 +136,7 @@ class OdriveDriver:
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
         """A sent or received frame in words, or None when it is not of these axes or too short."""
         axis = self._by_node.get(frame.id >> tables.NODE_SHIFT)
-        if axis is None or frame.extended or frame.bus != self._bus:
+        if axis is None or frame.extended or frame.fd or frame.bus != self._bus:
             return None
         command = frame.id & tables.COMMAND_MASK
         asked = axis.firmware.from_device.get(command)

@@ -27,6 +27,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "watch": "operate",
     "stop": "operate",
     "reference": "reference",
+    "set": "setting",
     "demo": "demo",
     "sim": "sim",
     "scenario": "scenario",

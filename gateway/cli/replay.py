@@ -132,7 +132,8 @@ def _played(frames: Sequence[Due], interface: str, channel: str, speed: float, *
         raise SessionError(f"{channel} may lead to motors, and commands would move them: --only rx, or --live")
     claims = Claims(interface, channel, commanded)
     try:
-        with opened(interface=interface, channel=channel) as target:
+        fd = any(due.frame.fd for due in frames)
+        with opened(interface=interface, channel=channel, fd=fd) as target:
             if not live and is_alive(target):
                 raise SessionError(f"somebody talks on {channel}: if it is to be so, say --live")
             return play_frames(frames, target, speed=speed)

@@ -62,7 +62,9 @@ def _interfaces(config: RobotConfig, channel: str | None, stack: ExitStack) -> d
     """The motors' end of every bus of the robot file; one channel for all of them if it is given."""
     return {
         bus.name: stack.enter_context(
-            MotorsInterface(channel or bus.channel, [motor for motor in config.motor if motor.bus == bus.name])
+            MotorsInterface(
+                channel or bus.channel, [motor for motor in config.motor if motor.bus == bus.name], fd=bus.fd
+            )
         )
         for bus in config.bus
     }

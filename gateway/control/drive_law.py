@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 from drivers.contract import CommandKind
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, ChassisState, Rates
+from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
 
 
 class Measured(NamedTuple):
@@ -28,6 +28,9 @@ class Measured(NamedTuple):
     angles: tuple[float | None, ...] = ()  # positions that are trusted, for the geometry
     estimate: Estimate | None = None  # motion of the body, and what of the wheels it does not explain
     slipping: bool = False
+    heading: float | None = None  # rad, as a gyro tells it: from any zero, wrapped or not
+    attitude: Attitude | None = None
+    ranges: tuple[float | None, ...] = ()  # m
 
 
 class JointCommand(NamedTuple):
@@ -56,11 +59,32 @@ class Motion(NamedTuple):
     chassis: ChassisState = NO_STATE  # what only this chassis knows of itself
 
 
+class Features(NamedTuple):
+    """What of a command a chassis can do besides its twist; what it cannot is refused and moves nothing."""
+
+    width: bool = False  # the wheels can go apart
+    regions: frozenset[Region] = frozenset({Region.ANY})
+
+    def objection(self, command: TwistCommand) -> str | None:
+        """Why this command is none for this chassis; None: it is one."""
+        if command.width_rate is not None and not self.width:
+            return f"width_rate = {command.width_rate:g}: must be left out: the width of this chassis is fixed"
+        if command.region not in self.regions:
+            known = " or ".join(repr(region.value) for region in Region if region in self.regions)
+            return f"region = {command.region.value!r}: must be {known} on this chassis"
+        return None
+
+
 class DriveLaw(Protocol):
     """How one kind of chassis moves as the setpoint says, and what stop and rest are for it. State owner.
 
     In each cycle one of `motion` and `stop` is called, once. What neither may command is decided elsewhere.
     """
+
+    @property
+    def features(self) -> Features:
+        """What it can do besides twists; the same for ever."""
+        ...
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
@@ -79,6 +103,9 @@ class DriveLaw(Protocol):
         ...
 
 
+TWISTS: Final = Features()
+
+
 class SpeedLaw:
     """Every joint at the speed that the kinematics has for it, all slowed alike where one cannot go so fast.
 
@@ -91,9 +118,15 @@ class SpeedLaw:
         self._top_speeds = tuple(top_speeds)
         self._velocity = velocity  # limits of the body
         self._period = period  # s
+        self._features = Features(width="width_rate" in kinematics.axes)
         self._brakes = Motion((BRAKE,) * len(self._top_speeds))
         self._blind = False
         self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
+
+    @property
+    def features(self) -> Features:
+        """What the axes of the chassis let it do."""
+        return self._features
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""

@@ -13,7 +13,7 @@ from typing import Final
 
 from drivers.contract import CommandKind
 from gateway.control.compensation import Compensation, PathRate, region_at
-from gateway.control.drive_law import JointCommand, Measured, Motion, SpeedLaw
+from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, examine
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
 from gateway.types import ChassisState, Rates
@@ -43,6 +43,11 @@ class OffsetDifferentialLaw:
         self._accelerations = None if accelerations is None else tuple(accelerations)
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
+
+    @property
+    def features(self) -> Features:
+        """Twists and nothing else."""
+        return self._speeds.features
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """Commands for this setpoint."""

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from gateway.config import Source
-from gateway.core.targets import is_zero
-from gateway.types import SourceStatus, TwistCommand
+from gateway.control.drive_law import TWISTS, Features
+from gateway.types import Refusal, RefusalCode, SourceStatus, TwistCommand
 
 LONGEST_DIP_NS: Final = 2_000_000_000  # a link that stalls, a process that swaps; source: ours
 
@@ -33,24 +33,32 @@ NOBODY: Final = Selection(None, None)
 class Arbiter:
     """Keeps the newest command of each source and who has sent a zero; ages count from `received_ns`."""
 
-    def __init__(self, sources: Sequence[Source]) -> None:
+    def __init__(self, sources: Sequence[Source], abilities: Features = TWISTS) -> None:
+        self._abilities = abilities
         ranked = sorted(sources, key=lambda source: -source.priority)
         self._timeout_ns = {source.name: round(source.timeout * 1e9) for source in ranked}
         self._latest: dict[str, TwistCommand] = {}
         self._admitted: set[str] = set()
         self._dismissed_ns: int | None = None
 
-    def receive(self, command: TwistCommand) -> None:
-        """Take one valid command; one of a source that is not configured has no priority and is left out."""
+    def receive(self, command: TwistCommand) -> Refusal | None:
+        """Take one valid command; why not, if this chassis cannot do what it asks for.
+
+        One of a source that is not configured has no priority and is left out.
+        """
         name = command.source
         if name not in self._timeout_ns:
-            return
+            return None
+        objection = self._abilities.objection(command)
+        if objection is not None:
+            return Refusal(name, RefusalCode.UNSUPPORTED, objection, command.received_ns)
         if self._starts_over(command, self._latest.get(name)):
             self._admitted.discard(name)
         since = self._dismissed_ns
-        if is_zero(command) and (since is None or command.received_ns > since):
+        if command.still and (since is None or command.received_ns > since):
             self._admitted.add(name)
         self._latest[name] = command
+        return None
 
     def dismiss(self, now_ns: int) -> None:
         """The robot rests, was stopped or failed: every source has to send zero again, after this moment."""
@@ -59,7 +67,7 @@ class Arbiter:
 
     def dismiss_moving(self) -> None:
         """Nothing has started: who asks for motion all the same has to send zero again."""
-        self._admitted = {name for name in self._admitted if is_zero(self._latest[name])}
+        self._admitted = {name for name in self._admitted if self._latest[name].still}
 
     def select(self, now_ns: int) -> Selection:
         """The source that drives at this moment."""
@@ -72,7 +80,7 @@ class Arbiter:
     def moving(self, now_ns: int) -> TwistCommand | None:
         """A fresh command of any source, whether it may drive or not, that asks for motion."""
         for command in self._latest.values():
-            if not is_zero(command) and self._fresh(command, now_ns):
+            if not command.still and self._fresh(command, now_ns):
                 return command
         return None
 

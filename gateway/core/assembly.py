@@ -12,6 +12,7 @@ from gateway.control.drive_law import DriveLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
+from gateway.core.settings import problems
 from gateway.kinematics.contract import GeometryError, Kinematics
 
 
@@ -39,6 +40,9 @@ class Robot(NamedTuple):
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range."""
+    wrong = [f"settings: {problem}" for problem in problems(config.settings)]
+    if wrong:
+        raise ConfigError(origin, wrong)
     motors = config.motors_in_order()
     try:
         kinematics = config.robot.kinematics()
@@ -86,6 +90,15 @@ def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[
         f"bus {bus.name}: {conflict}"
         for bus in config.bus
         for conflict in id_conflicts([group.driver.ids() for group in groups if group.bus == bus.name])
+    ]
+    conflicts += [
+        f"bus {bus.name}: fd = false: {item.name} is a CAN FD frame"
+        for bus in config.bus
+        if not bus.fd
+        for group in groups
+        if group.bus == bus.name
+        for item in group.driver.traffic(loop_rate_hz=rate)
+        if item.fd
     ]
     if conflicts:
         raise ConfigError(origin, conflicts)

@@ -1,25 +1,32 @@
 """The quantities of each cycle that people look at: name, unit, plot and where it is in the trace, each told once.
 
 The recording's plots, the viewer's layout, `drivegate replay trace` and `drivegate watch --channels` all go by this
-table: a new quantity is a field of `Trace`, and a row here.
+table: a new quantity is a field of `Trace`, and a row here. What only one kind of chassis has is told by its file.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
-from gateway.chassis.contract import Chassis
-from gateway.types import Trace
+from gateway.config import RobotConfig
+from gateway.types import SensorKind, Trace
 
 Numbers = Sequence[float | None]
+Owners = Mapping[str, Sequence[str]]  # names of who has a quantity, by the kind of owner
+ROBOT: Final = "robot"
+AXIS: Final = "axis"
+MOTOR: Final = "motor"
+HEADING: Final = SensorKind.HEADING.value
+ATTITUDE: Final = SensorKind.ATTITUDE.value
+RANGE: Final = SensorKind.RANGE.value
 
 
 class Channel(NamedTuple):
-    """One number or several of a kind. A name that ends in a dot is followed by the name of each motor, one that begins
-    with an underscore follows that of each axis.
+    """One number or several of a kind, of each owner: the robot, an axis of the body, a motor, a sensor.
 
-    `entity`: where it is in the recording, several may share one; `plot`: the view that shows it, "" for none.
-    `asked`: what was wanted and not what was measured, which is drawn beneath it.
+    The name of the owner follows that of the channel, that of an axis stands before it. A channel of sensors that are
+    not there has no numbers. `entity`: where it is in the recording, several may share one; `plot`: the view that shows
+    it, "" for none. `asked`: what was wanted and not what was measured, which is drawn beneath it.
     """
 
     entity: str
@@ -28,18 +35,28 @@ class Channel(NamedTuple):
     plot: str
     read: Callable[[Trace], Numbers | None]
     asked: bool = False
+    owner: str = ROBOT
 
-    def labels(self, robot: Chassis) -> list[str]:
-        """One name per number, motors in chassis order."""
-        (first, *_) = self.names
-        if first.startswith("_"):
-            return [f"{axis}{first}" for axis in robot.AXES]
-        return [f"{first}{motor}" for motor in robot.motor_names()] if first.endswith(".") else list(self.names)
+    def labels(self, owners: Owners) -> list[str]:
+        """One name per number; motors in chassis order, axes as the kinematics names them."""
+        having = owners[self.owner]
+        if self.owner == AXIS:
+            return [f"{axis}{name}" for axis in having for name in self.names]
+        return [f"{name}{owner}" for owner in having for name in self.names]
 
     def numbers(self, trace: Trace, size: int) -> Numbers:
         """As many numbers as there are labels, None where something is unknown or released."""
         found = self.read(trace)
         return (None,) * size if found is None else found
+
+
+def owners(config: RobotConfig) -> Owners:
+    """Of one robot."""
+    sensors = {
+        kind.value: [sensor.name if kind is SensorKind.RANGE else "" for sensor in config.sensor if sensor.kind is kind]
+        for kind in SensorKind
+    }
+    return {ROBOT: [""], AXIS: config.robot.AXES, MOTOR: config.robot.motor_names(), **sensors}
 
 
 def _targets(trace: Trace) -> Numbers:
@@ -54,30 +71,49 @@ def _measured(trace: Trace) -> Numbers | None:
     return None if trace.measured is None else (*trace.measured, *[axis.measured for axis in trace.more])
 
 
-VELOCITY, WHEELS = "Body velocity [m/s, rad/s]", "Wheel speeds [rad/s]"
+LEAN: Final = "Heading and attitude [rad]"
+VELOCITY: Final = "Body velocity [m/s, rad/s]"
+WHEELS: Final = "Wheel speeds [rad/s]"
+SLIP: Final = "Slip residual [m/s]"
 CHANNELS: Final = (
-    Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True),
-    Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds),
-    Channel("twist/target", ("_wanted",), "m/s, rad/s", VELOCITY, _targets, asked=True),
-    Channel("twist/setpoint", ("_limited",), "m/s, rad/s", "", _setpoints, asked=True),
-    Channel("twist/measured", ("_measured",), "m/s, rad/s", VELOCITY, _measured),
+    Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True, owner=MOTOR),
+    Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds, owner=MOTOR),
+    Channel("twist/target", ("_wanted",), "m/s, rad/s", VELOCITY, _targets, asked=True, owner=AXIS),
+    Channel("twist/setpoint", ("_limited",), "m/s, rad/s", "", _setpoints, asked=True, owner=AXIS),
+    Channel("twist/measured", ("_measured",), "m/s, rad/s", VELOCITY, _measured, owner=AXIS),
     Channel("pose", ("x", "y", "theta"), "m, rad", "Pose [m, rad]", lambda trace: trace.pose),
-    Channel("residual", ("residual",), "m/s", "Slip residual [m/s]", lambda trace: (trace.residual,)),
-    Channel("residual", ("residual.",), "m/s", "Slip residual [m/s]", lambda trace: trace.residuals),
+    Channel("residual", ("residual",), "m/s", SLIP, lambda trace: (trace.residual,)),
+    Channel("residual", ("residual.",), "m/s", SLIP, lambda trace: trace.residuals, owner=MOTOR),
     Channel("command_age", ("command_age",), "s", "Command age [s]", lambda trace: (trace.winner_age_s,)),
+    Channel("heading", ("heading",), "rad", LEAN, lambda trace: (trace.heading,), owner=HEADING),
+    Channel(
+        "attitude", ("roll", "pitch"), "rad", LEAN, lambda trace: trace.attitude and trace.attitude[:2], owner=ATTITUDE
+    ),
+    Channel("range", ("range.",), "m", "Range [m]", lambda trace: trace.ranges, owner=RANGE),
 )
-POSITIONS: Final = Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions)
+# Not plotted: `replay trace`, `watch --channels`.
+UNPLOTTED: Final = (
+    Channel("", ("position.",), "rad", "", lambda trace: trace.wheel_positions, owner=MOTOR),
+    Channel(
+        "",
+        ("roll_rate", "pitch_rate", "yaw_rate"),
+        "rad/s",
+        "",
+        lambda trace: trace.attitude and trace.attitude[2:],
+        owner=ATTITUDE,
+    ),
+)
 
 
-def channels_of(chassis: Chassis) -> tuple[Channel, ...]:
-    """Those of every robot and those of this kind of chassis."""
-    found: list[Channel] = [*CHANNELS]
+def channels_of(config: RobotConfig) -> tuple[Channel, ...]:
+    """Those that this robot has and that are recorded for people: of every robot, and of its kind of chassis."""
+    having = owners(config)
+    found = [channel for channel in CHANNELS if having[channel.owner]]
     first = 0
-    for group in chassis.CHANNELS:
+    for group in config.robot.CHANNELS:
         end = first + len(group.names)
-        found.append(
-            Channel(f"chassis/{group.entity}", group.names, group.unit, group.plot, partial(_of_chassis, first, end))
-        )
+        read = partial(_of_chassis, first, end)
+        found.append(Channel(f"chassis/{group.entity}", group.names, group.unit, group.plot, read))
         first = end
     return tuple(found)
 
@@ -87,11 +123,11 @@ def _of_chassis(first: int, end: int, trace: Trace) -> Numbers | None:
 
 
 class Layout:
-    """Every channel of one robot as one flat row."""
+    """Channels of one robot as one flat row."""
 
-    def __init__(self, robot: Chassis, channels: Sequence[Channel]) -> None:
-        self._channels = [(channel, len(channel.labels(robot))) for channel in channels]
-        self.labels = [label for channel in channels for label in channel.labels(robot)]
+    def __init__(self, owners: Owners, channels: Sequence[Channel]) -> None:
+        self._channels = [(channel, len(channel.labels(owners))) for channel in channels if channel.labels(owners)]
+        self.labels = [label for channel in channels for label in channel.labels(owners)]
 
     def row(self, trace: Trace) -> list[float | None]:
         """The numbers of a cycle, in the order of the labels."""
@@ -102,9 +138,9 @@ class Layout:
         return dict(zip(self.labels, self.row(trace), strict=True))
 
 
-def layout_of(chassis: Chassis) -> Layout:
-    """Every channel of this robot, positions included, motors in chassis order."""
-    return Layout(chassis, (*channels_of(chassis), POSITIONS))
+def layout_of(config: RobotConfig) -> Layout:
+    """Every channel of this robot, those included that are not plotted."""
+    return Layout(owners(config), (*channels_of(config), *UNPLOTTED))
 
 
 def entities(channels: Sequence[Channel]) -> dict[str, list[Channel]]:

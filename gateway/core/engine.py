@@ -20,7 +20,7 @@ from drivers.contract import CanFrame, MotorState
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
-from gateway.control.limits import TwistLimiter, excess
+from gateway.control.limits import TwistLimiter, excess, scale_to
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
@@ -31,9 +31,11 @@ from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
+from gateway.core.sensors import Readings, Sensors
+from gateway.core.settings import SPEED_OVERRIDE, Settings
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
-from gateway.core.targets import is_zero, more_of
+from gateway.core.targets import more_of
 from gateway.types import (
     PLANAR,
     ZERO_TWIST,
@@ -81,7 +83,7 @@ class Engine:
         self._kinematics = robot.kinematics
         self._law = robot.law
         self._motors = Motors(robot)
-        self._arbiter = Arbiter(config.commands.source)
+        self._arbiter = Arbiter(config.commands.source, robot.law.features)
         axes = robot.kinematics.axes
         self._more = axes[len(PLANAR) :]
         self._velocity = config.limits.velocity.as_rates(axes)
@@ -95,6 +97,8 @@ class Engine:
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
+        self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz)
+        self._settings = Settings(config.settings)
         self._slip = SlipDetector()
         self._standstill = Standstill()
         self._reporter = Reporter(config)
@@ -128,7 +132,7 @@ class Engine:
         """One cycle."""
         now_ns = inputs.now_ns
         dt = self._elapsed(now_ns)
-        self._receive(inputs)
+        inputs = self._receive(inputs)
         self._measured = measured = self._measure(now_ns, dt)
         health = self._judge(measured)
         self._believable = health.brakable
@@ -150,6 +154,8 @@ class Engine:
             faults=health.faults,
             replies=replies,
             slipping=measured.slipping,
+            silent=self._sensors.silent,
+            jumped=self._sensors.jumped,
         )
         status = None
         if self._reporter.status_due(now_ns) or events:
@@ -174,6 +180,9 @@ class Engine:
                 residuals,
                 motion.chassis.numbers,
                 self._trace_of_more(more, measured) if more else (),
+                measured.heading,
+                measured.attitude,
+                measured.ranges,
             ),
             self._shutdown and not self._energised,
         )
@@ -204,15 +213,18 @@ class Engine:
             self._health.look_anew()
         return min(elapsed, longest)
 
-    def _receive(self, inputs: Inputs) -> None:
+    def _receive(self, inputs: Inputs) -> Inputs:
+        """Take everything in; commands that this chassis cannot follow are among the refusals of what is given back."""
         self._motors.receive(inputs.frames)
-        for command in inputs.commands:
-            self._arbiter.receive(command)
+        refused = [refusal for refusal in map(self._arbiter.receive, inputs.commands) if refusal is not None]
+        for sample in inputs.samples:
+            self._sensors.receive(sample)
         for event in inputs.bus_events:
             if event.kind is BusEventKind.DOWN:
                 self._buses_down[event.bus] = event.text
             elif event.kind is BusEventKind.UP:
                 self._buses_down.pop(event.bus, None)
+        return inputs._replace(refusals=(*inputs.refusals, *refused)) if refused else inputs
 
     def _measure(self, now_ns: int, dt: float) -> Measured:
         measured = self._motors.measure(now_ns, dt)
@@ -226,9 +238,32 @@ class Engine:
         measurable = estimate is not None or None not in speeds
         moves = self._law.moves(measured, turning=self._motors.turning(measured))
         self._standstill.measure(turning=moves, measurable=measurable, now_ns=now_ns)
-        self._odometry.update(deltas, trusted, residual=residual, dt=dt)
+        readings = self._sensors.read(now_ns)
+        self._move(deltas, trusted, readings, residual=residual, dt=dt)
         self._slip.look(residual, dt)
-        return measured._replace(angles=tuple(trusted), estimate=estimate, slipping=self._slip.slipping)
+        return measured._replace(
+            angles=tuple(trusted),
+            estimate=estimate,
+            slipping=self._slip.slipping,
+            heading=readings.heading and readings.heading.angle,
+            attitude=readings.attitude,
+            ranges=readings.ranges,
+        )
+
+    def _move(
+        self,
+        deltas: Sequence[float | None],
+        angles: Sequence[float | None],
+        readings: Readings,
+        *,
+        residual: float | None,
+        dt: float,
+    ) -> None:
+        """The pose by the way of this cycle, with the turn of a gyro where there is one to be believed."""
+        angle, fresh, anew = readings.heading or (None, True, False)
+        if anew:
+            self._odometry.forget_heading()
+        self._odometry.update(deltas, angles, residual=residual, dt=dt, heading=angle, fresh=fresh)
 
     def _believed(
         self, speeds: Numbers, deltas: list[float | None], angles: Numbers
@@ -288,6 +323,8 @@ class Engine:
             elif request.kind is RequestKind.RESET:
                 refusal = self._refusal_of_reset(inputs.now_ns, estop=RequestKind.ESTOP in kinds)
                 granted = refusal is None
+            elif request.kind is RequestKind.SET:
+                refusal = self._settings.set(request.setting, request.value)
             else:
                 continue
             replies.append(Reply(request.id, refusal is None, refusal))
@@ -349,7 +386,7 @@ class Engine:
                 reduced=not all(health.usable),
                 commanded=selection.command is not None,
                 start=selection.command is not None
-                and is_zero(selection.command)
+                and selection.command.still
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
                 overdue=overdue,
@@ -425,11 +462,12 @@ class Engine:
             limits = (*limits, "limp")
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
+            target, more, overridden = self._overridden(target, more)
             headroom = self._motors.headroom(measured)
             effort = self._ability.effort if self._ability is not None else 1.0
             target, more = self._reached(target, more)
             _, active = self._limiter.step(target, measured.dt, more=more, effort=effort, headroom=headroom)
-            limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
+            limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
             self._brake(measured, health)
         else:
@@ -440,6 +478,17 @@ class Engine:
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
         return motion._replace(limits=(*limits, *motion.limits))
+
+    def _overridden(self, target: Twist, more: Rates) -> tuple[Twist, Rates, tuple[str, ...]]:
+        """The target within the share of top speed that commands may use; the setpoint goes there within the limits."""
+        share = self._settings.value(SPEED_OVERRIDE)
+        if share >= 1.0:
+            return target, more, ()
+        asked = (*target, *more)
+        allowed = scale_to(asked, tuple([share * axis for axis in self._velocity]))
+        if allowed is asked:
+            return target, more, ()
+        return Twist(*allowed[: len(PLANAR)]), allowed[len(PLANAR) :], (SPEED_OVERRIDE.name,)
 
     def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
@@ -545,6 +594,8 @@ class Engine:
             cycle=inputs.cycle,
             ability=self._abilities.describe(self._ability),
             chassis=motion.chassis.facts,
+            sensors=self._sensors.describe(inputs.now_ns),
+            settings=self._settings.describe(),
         )
 
 

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from drivers.contract import Traffic
 from gateway.chassis.contract import LoopLimit
-from gateway.config import ConfigError, RobotConfig
+from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build
 from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
@@ -19,6 +19,10 @@ STOPPING_REFUSAL_S: Final = 5.0  # a robot that needs longer from top speed is n
 # it never changes its sign. Source: ours, half of what is stable.
 LOOP_GAIN_REFUSAL: Final = 1.0
 _HEADINGS: Final = 72  # joint angles at which the top speed of a steered chassis is looked for
+
+
+_FD_TRAILER: Final = 13  # CRC delimiter, acknowledgement and its delimiter, end of frame (7), interframe space (3)
+_FD_CHECKS: Final = ((16, 17, 6), (64, 21, 7))  # up to so many bytes of data: bits of the CRC, and the fixed stuff bits
 
 
 class BusLoad(NamedTuple):
@@ -56,13 +60,33 @@ def frame_bits(length: int, *, extended: bool) -> int:
     return (80 if extended else 55) + 10 * length
 
 
+def fd_frame_bits(length: int, *, extended: bool) -> tuple[int, int]:
+    """Longest CAN FD frame: bits at the rate of arbitration, and those behind the bit rate switch.
+
+    Every fourth bit after the first may be a stuff bit, from the start of frame to the last of the data; counted from
+    the frame format of ISO 11898-1:2015.
+    """
+    header, data = (36 if extended else 17), 1 + 4 + 8 * length  # to the switch; error state, length code, data
+    stuffed = (header - 1) // 4
+    crc, fixed = next((crc, fixed) for longest, crc, fixed in _FD_CHECKS if length <= longest)
+    return header + stuffed + _FD_TRAILER, data + (header + data - 1) // 4 - stuffed + 4 + crc + fixed
+
+
+def frame_time(item: Traffic, bus: Bus) -> float:
+    """Longest time on the wire, s."""
+    if not item.fd:
+        return frame_bits(item.length, extended=item.extended) / bus.bitrate
+    nominal, fast = fd_frame_bits(item.length, extended=item.extended)
+    return nominal / bus.bitrate + fast / ((item.bit_rate_switch and bus.data_bitrate) or bus.bitrate)
+
+
 def examine(config: RobotConfig, origin: str) -> Examination:
     """The report. Raises ConfigError for a robot that cannot be driven or a bus beyond LOAD_REFUSAL."""
     robot = build(config, origin)
     matrix = robot.kinematics.matrix()
     top = _top_speeds(robot)
     limit = config.limits.velocity.as_rates(config.robot.AXES)
-    buses = tuple(_bus_load(config, robot, bus.name, bus.bitrate) for bus in config.bus)
+    buses = tuple(_bus_load(config, robot, bus) for bus in config.bus)
     overloaded = [
         f"bus {bus.bus}: load {bus.load:.0%} at {config.loop.rate:g} Hz; allowed up to {LOAD_REFUSAL:.0%}"
         for bus in buses
@@ -203,13 +227,13 @@ def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
     return largest * largest / (1.0 + body.joint_inertia * largest * largest)
 
 
-def _bus_load(config: RobotConfig, robot: Robot, bus: str, bitrate: int) -> BusLoad:
+def _bus_load(config: RobotConfig, robot: Robot, bus: Bus) -> BusLoad:
     traffic: list[Traffic] = []
     for group in robot.groups:
-        if group.bus == bus:
+        if group.bus == bus.name:
             traffic += group.driver.traffic(loop_rate_hz=config.loop.rate)
-    bits = fsum(item.rate_hz * frame_bits(item.length, extended=item.extended) for item in traffic)
-    return BusLoad(bus, bitrate, bits / bitrate, fsum(item.rate_hz for item in traffic))
+    load = fsum(item.rate_hz * frame_time(item, bus) for item in traffic)
+    return BusLoad(bus.name, bus.bitrate, load, fsum(item.rate_hz for item in traffic))
 
 
 def _warnings(

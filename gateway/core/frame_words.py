@@ -40,5 +40,7 @@ def fields(decoded: DecodedFrame) -> str:
 
 
 def raw(frame: CanFrame) -> str:
-    """As candump writes it, the bus in front."""
-    return f"{frame.bus} {frame.id:0{8 if frame.extended else 3}X}#{'R' if frame.remote else frame.data.hex().upper()}"
+    """As candump writes it, the bus in front; behind the second # of a CAN FD frame 1 for a bit rate switch, else 0."""
+    data = "R" if frame.remote else frame.data.hex().upper()
+    flags = f"#{frame.bit_rate_switch:X}" if frame.fd else ""
+    return f"{frame.bus} {frame.id:0{8 if frame.extended else 3}X}#{flags}{data}"

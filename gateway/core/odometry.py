@@ -2,7 +2,8 @@
 
 Displacements (not speeds) are integrated, so a late or lost frame costs nothing: the next one carries the way. The
 covariance grows with the way driven and, where the wheels carry redundancy, with the motion they cannot explain.
-Where a gyro tells the heading, the turn is the gyro's and the wheels tell the way only.
+Where a gyro tells the heading, the turn is the gyro's and the wheels tell the way only. Between two of its samples the
+wheels tell the turn as well; the next sample puts the gyro's in its place, and where none comes the wheels' stands.
 """
 
 from collections.abc import Sequence
@@ -71,6 +72,10 @@ class WheelOdometry:
         self._turning_way = 0.0
         self._turning_slip_variance = 0.0
         self._gyro_variance = 0.0  # rad^2
+        # Since the last sample of the gyro: what the wheels turned the pose, and the variance of that.
+        self._bridged = 0.0
+        self._bridge_variance = 0.0
+        self._bridge_time = 0.0
 
     def deltas(
         self, positions: Sequence[float | None], ages_ns: Sequence[int | None], now_ns: int
@@ -96,7 +101,11 @@ class WheelOdometry:
         """The next position of this joint is a new reference."""
         self._positions[index] = None
 
-    def update(
+    def forget_heading(self) -> None:
+        """The next heading only tells where it counts from."""
+        self._heading = None
+
+    def update(  # what is known of one cycle
         self,
         deltas: Sequence[float | None],
         angles: Sequence[float | None],
@@ -104,22 +113,31 @@ class WheelOdometry:
         residual: float | None,
         dt: float,
         heading: float | None = None,
+        fresh: bool = True,
     ) -> None:
         """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s.
 
-        `heading`: of a gyro, rad, from any zero and wrapped or not; None while it is silent. Its change since the cycle
-        before is the turn, in place of that of the wheels; the first after a silence only tells where it counts from.
+        `heading`: of a gyro, rad, from any zero and wrapped or not; None while it is silent. Its change since the
+        sample before is the turn, in place of that of the wheels; the first one only tells where it counts from.
+        `fresh`: it is of this cycle; what is not fresh says only that the gyro is not silent.
         """
-        turn = self._turn(heading)
         way = self._displacement(deltas, angles) if any(deltas) else None
-        if way is not None or turn:
-            self._move(way or NO_DISPLACEMENT, turn)
         slip_variance = residual * residual * dt if residual else 0.0
         self._slip_variance += slip_variance
+        if heading is not None and self._heading is not None and not fresh:
+            self._bridge(way or NO_DISPLACEMENT, slip_variance, dt)
+            return
+        turn = self._turn(heading)
+        if way is not None or turn:
+            self._move(way or NO_DISPLACEMENT, turn)
         if turn is None:
             self._turning_slip_variance += slip_variance
+            self._gyro_variance += self._bridge_variance  # the turn of the wheels stands
         else:
-            self._gyro_variance += _GYRO_VARIANCE_PER_SECOND * dt + _GYRO_VARIANCE_PER_RADIAN * abs(turn)
+            elapsed = self._bridge_time + dt
+            self._gyro_variance += _GYRO_VARIANCE_PER_SECOND * elapsed
+            self._gyro_variance += _GYRO_VARIANCE_PER_RADIAN * abs(self._bridged + turn)
+        self._bridged = self._bridge_variance = self._bridge_time = 0.0
 
     def read(self, twist: Twist | None, residual: float | None) -> Odometry:
         """Pose with its covariance brought up to date."""
@@ -145,9 +163,19 @@ class WheelOdometry:
         return delta
 
     def _turn(self, heading: float | None) -> float | None:
-        """What the gyro turned since the cycle before, rad within half a turn; None: unknown."""
+        """What the gyro turned since its last sample beyond the bridge, rad within half a turn; None: unknown."""
         before, self._heading = self._heading, heading
-        return None if heading is None or before is None else remainder(heading - before, tau)
+        return None if heading is None or before is None else remainder(heading - before - self._bridged, tau)
+
+    def _bridge(self, way: Displacement, slip_variance: float, dt: float) -> None:
+        """Move as the wheels have it, until the gyro tells more."""
+        length = abs(way.x) + abs(way.y)
+        self._way += length
+        self._bridged += way.turn
+        self._bridge_variance += _turning_variance(abs(way.turn), length, slip_variance)
+        self._bridge_time += dt
+        if way != NO_DISPLACEMENT:
+            self.pose = advance(self.pose, way)
 
     def _displacement(self, deltas: Sequence[float | None], positions: Sequence[float | None]) -> Displacement | None:
         """Of the body, as the wheels have it; None where they do not determine it."""
@@ -174,12 +202,7 @@ class WheelOdometry:
         dx, dy = self.pose.x - self._reference.x, self.pose.y - self._reference.y
         slip = self._slip_variance * _SLIP_CORRELATION
         across = _VARIANCE_PER_METRE * self._way + slip
-        heading = (
-            _HEADING_VARIANCE_PER_RADIAN * self._turned
-            + _HEADING_VARIANCE_PER_METRE * self._turning_way
-            + self._turning_slip_variance * _SLIP_CORRELATION / (_SLIP_LEVER * _SLIP_LEVER)
-            + self._gyro_variance
-        )
+        heading = _turning_variance(self._turned, self._turning_way, self._turning_slip_variance) + self._gyro_variance
         xx, xy, xt, _, yy, yt, _, _, tt = self._covariance
         new_xx = xx - 2.0 * dy * xt + dy * dy * tt + across
         new_xy = xy + dx * xt - dy * yt - dx * dy * tt
@@ -188,3 +211,12 @@ class WheelOdometry:
         self._covariance = (new_xx, new_xy, new_xt, new_xy, new_yy, new_yt, new_xt, new_yt, new_tt)
         self._reference, self._way, self._slip_variance = self.pose, 0.0, 0.0
         self._turned = self._turning_way = self._turning_slip_variance = self._gyro_variance = 0.0
+
+
+def _turning_variance(turned: float, way: float, slip_variance: float) -> float:
+    """Of a turn that the wheels tell, rad^2."""
+    return (
+        _HEADING_VARIANCE_PER_RADIAN * turned
+        + _HEADING_VARIANCE_PER_METRE * way
+        + slip_variance * _SLIP_CORRELATION / (_SLIP_LEVER * _SLIP_LEVER)
+    )

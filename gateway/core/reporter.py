@@ -6,7 +6,6 @@ from typing import Final
 
 from gateway.config import RobotConfig
 from gateway.core.health import Fault
-from gateway.core.targets import is_zero
 from gateway.types import (
     BusEvent,
     BusEventKind,
@@ -16,6 +15,8 @@ from gateway.types import (
     Mode,
     Refusal,
     Reply,
+    Request,
+    RequestKind,
     TwistCommand,
 )
 
@@ -82,7 +83,8 @@ class Reporter:
         self.status_due = Due(config.zenoh.state_rate)
         self.refused = 0
         self.tx_dropped = 0
-        self._sources = frozenset(source.name for source in config.commands.source)
+        self._silent = tuple(sensor.name for sensor in config.sensor)
+        self._sources = frozenset((*(source.name for source in config.commands.source), *self._silent))
         self._throttle = _Throttle()
         self._first_ns: int | None = None
         self._mode = Mode.IDLE
@@ -100,13 +102,16 @@ class Reporter:
         faults: tuple[Fault, ...],
         replies: Sequence[Reply],
         slipping: bool,
+        silent: tuple[str, ...] = (),
+        jumped: Sequence[str] = (),
     ) -> tuple[Event, ...]:
-        """Everything worth telling of this cycle; usually nothing."""
+        """Everything worth telling of this cycle; usually nothing. `silent`, `jumped`: sensors."""
         quiet = (
             mode is self._mode
             and faults is self._faults
             and slipping is self._slipping
-            and not (inputs.refusals or inputs.bus_events or replies)
+            and silent == self._silent
+            and not (inputs.refusals or inputs.bus_events or replies or jumped)
             and inputs.overruns == self._overruns
             and inputs.dropped_records == self._dropped_records
         )
@@ -122,8 +127,9 @@ class Reporter:
         events += self._counters(inputs)
         events += self._fault_changes(faults, now_ns)
         events += self._slip_change(slipping, now_ns)
-        kinds = {request.id: request.kind.value for request in inputs.requests}
-        events += [event for reply in replies for event in self._reply(kinds[reply.id], reply, now_ns)]
+        events += self._sensor_changes(silent, jumped, now_ns)
+        asked = {request.id: request for request in inputs.requests}
+        events += [event for reply in replies for event in self._reply(asked[reply.id], reply, now_ns)]
         events += self._mode_change(mode, reason)
         return tuple(events)
 
@@ -133,10 +139,13 @@ class Reporter:
         count = self._throttle.admit((source, refusal.code), now_ns)
         return _counted(Level.WARNING, f"refused_{refusal.code.value}", f"{refusal.source}: {refusal.text}", count)
 
-    def _reply(self, kind: str, reply: Reply, now_ns: int) -> list[Event]:
-        count = self._throttle.admit((kind, reply.ok, reply.reason), now_ns)
+    def _reply(self, request: Request, reply: Reply, now_ns: int) -> list[Event]:
+        kind, setting = request.kind.value, request.kind is RequestKind.SET
+        # What is asked to be set, and to what, are as many kinds as people like to send.
+        count = self._throttle.admit((kind, reply.ok, None if setting else reply.reason), now_ns)
         if reply.ok:
-            return _counted(Level.INFO, kind, "granted", count)
+            granted = f"{request.setting} = {request.value:g}" if setting else "granted"
+            return _counted(Level.INFO, kind, granted, count)
         return _counted(Level.WARNING, f"{kind}_refused", str(reply.reason), count)
 
     def _bus(self, event: BusEvent, now_ns: int) -> list[Event]:
@@ -180,6 +189,18 @@ class Reporter:
         text = "the wheels do not fit a rigid motion: one of them slips"
         return _counted(Level.WARNING, "slip", text, self._throttle.admit("slip", now_ns))
 
+    def _sensor_changes(self, silent: tuple[str, ...], jumped: Sequence[str], now_ns: int) -> list[Event]:
+        before, self._silent = self._silent, silent
+        events: list[Event] = []
+        for names, code, level, text in (
+            ([name for name in silent if name not in before], "sensor_silent", Level.WARNING, "silent"),
+            ([name for name in before if name not in silent], "sensor_heard", Level.INFO, "heard"),
+            (jumped, "sensor_jump", Level.WARNING, "its heading changed by more than the robot can turn: not believed"),
+        ):
+            for name in names:
+                events += _counted(level, code, f"{name}: {text}", self._throttle.admit((code, name), now_ns))
+        return events
+
     def _mode_change(self, mode: Mode, reason: str | None) -> list[Event]:
         before, self._mode = self._mode, mode
         if mode is before:
@@ -194,7 +215,7 @@ def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | 
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
     if faults and mode is not Mode.ESTOP:
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
-    if mode is Mode.IDLE and command is not None and not is_zero(command):
+    if mode is Mode.IDLE and command is not None and not command.still:
         return f"waiting for a zero command from {command.source}"
     return _REASONS.get(mode)
 

@@ -38,10 +38,12 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_chassis", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
-    "gateway.core.arbiter.Arbiter": frozenset({"_timeout_ns"}),
+    "gateway.core.arbiter.Arbiter": frozenset({"_abilities", "_timeout_ns"}),
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),
     "gateway.core.odometry.WheelOdometry": frozenset({"_kinematics", "_top_speeds"}),
     "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),
+    "gateway.core.sensors.Sensors": frozenset({"_kinds", "_timeouts_ns", "_top_turn"}),
+    "gateway.core.settings.Settings": frozenset(),
     "gateway.core.standstill.Standstill": frozenset(),
     "gateway.core.reporter.Reporter": frozenset({"_sources"}),
     "gateway.core.reporter.Due": frozenset({"_period_ns"}),
@@ -61,7 +63,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
     "gateway.control.compensation.Compensation": frozenset({"_authority", "_axle_offset"}),
     "gateway.control.compensation.PathRate": frozenset(),
-    "gateway.control.drive_law.SpeedLaw": frozenset({"_brakes", "_kinematics", "_period", "_top_speeds", "_velocity"}),
+    "gateway.control.drive_law.SpeedLaw": frozenset(
+        {"_brakes", "_features", "_kinematics", "_period", "_top_speeds", "_velocity"}
+    ),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(

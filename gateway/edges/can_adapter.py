@@ -9,11 +9,11 @@ failure only, so that a bus can break but not the process. What it hands over is
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import can
 
-from drivers.contract import CanFrame
+from drivers.contract import FD_LENGTHS, CanFrame
 
 MAX_LENGTH = 8  # bytes of a classic frame
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
@@ -42,16 +42,18 @@ def ask(call: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
         raise AdapterError(error) from error
 
 
-def flaw(message: can.Message) -> str | None:
-    """What is wrong with a received message; None for one that a classic CAN bus can carry."""
+def flaw(message: can.Message, *, fd: bool = False) -> str | None:
+    """What is wrong with a received message; None for one that the bus, classic unless `fd`, can carry."""
     identifier, data = message.arbitration_id, message.data
     highest = MAX_EXTENDED_ID if message.is_extended_id or message.is_error_frame else MAX_STANDARD_ID
-    if message.is_fd:
-        return "a CAN FD frame on a classic bus"
+    if message.is_fd and (not fd or message.is_remote_frame):
+        return "a remote frame of CAN FD" if fd else "a CAN FD frame on a classic bus"
     if not isinstance(identifier, int) or not 0 <= identifier <= highest:
         return f"id {identifier!r} is none"
-    if not isinstance(data, bytes | bytearray) or len(data) > MAX_LENGTH:
-        return f"data {data!r} of id 0x{identifier:X}: must be 0 to {MAX_LENGTH} bytes"
+    lengths = FD_LENGTHS if message.is_fd else range(MAX_LENGTH + 1)
+    if not isinstance(data, bytes | bytearray) or len(data) not in lengths:
+        allowed = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if message.is_fd else f"0 to {MAX_LENGTH}"
+        return f"data {data!r} of id 0x{identifier:X}: must be {allowed} bytes"
     if not message.is_remote_frame and len(data) != message.dlc:
         return f"length {message.dlc!r} of id 0x{identifier:X} with {len(data)} bytes of data"
     return None
@@ -61,13 +63,20 @@ def frame_of(message: can.Message, *, bus: str, received_ns: int | None) -> CanF
     """A message without flaw as a frame."""
     remote = bool(message.is_remote_frame)
     data = b"" if remote else bytes(message.data)
-    return CanFrame(bus, message.arbitration_id, data, bool(message.is_extended_id), remote, received_ns)
+    fd = bool(message.is_fd)
+    switch = fd and bool(message.bitrate_switch)
+    return CanFrame(bus, message.arbitration_id, data, bool(message.is_extended_id), remote, received_ns, fd, switch)
 
 
 def message_of(frame: CanFrame) -> can.Message:
     """A frame as python-can wants it."""
     return can.Message(
-        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        is_fd=frame.fd,
+        bitrate_switch=frame.bit_rate_switch,
     )
 
 
@@ -78,9 +87,10 @@ def epoch_ns(message: can.Message) -> int | None:
 
 
 @contextmanager
-def opened(*, interface: str, channel: str) -> Iterator[can.BusABC]:
+def opened(*, interface: str, channel: str, fd: bool = False) -> Iterator[can.BusABC]:
     """A bus for a while. Raises AdapterError if it cannot be opened; closing may fail as it likes."""
-    bus = ask(can.Bus, interface=interface, channel=channel)
+    more: dict[str, Any] = {"fd": True} if fd else {}  # not every adapter takes it
+    bus = ask(can.Bus, interface=interface, channel=channel, **more)
     try:
         yield bus
     finally:

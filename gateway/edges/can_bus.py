@@ -15,7 +15,8 @@ SocketCAN answers at once. Any other adapter may hold its caller, so it is opene
 its own (`gateway.edges.can_thread`) and counts as down until it is open; the words of a failure come a cycle later.
 
 Stamps are trusted of SocketCAN only: those of other adapters count from their own start, or drift; their frames get
-the time of the cycle in which they are taken. A message that no classic bus can carry is dropped and counted.
+the time of the cycle in which they are taken. A message that the bus cannot carry is dropped and counted, and so is
+one of CAN FD on a bus without `fd`.
 """
 
 import errno
@@ -25,7 +26,7 @@ import socket
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 
@@ -44,6 +45,7 @@ REOPEN_NS = 500_000_000
 STUCK_CYCLES = 25  # cycles in a row in which not every frame could be sent: nobody acknowledges
 MAX_FRAMES_PER_DRAIN = 512  # a flood must not hold the loop; the rest waits in the kernel ...
 SHORTEST_FRAME_BITS = 47  # ... unless a full bus carries more in a period (slow loops): it would never be caught up
+SHORTEST_FD_FRAME_BITS = 30  # those before and behind the part that a bit rate switch makes faster
 SEND_BUFFER = 8192  # bytes; an skb of one CAN frame counts for about 800, so this holds about ten frames
 
 _INTERFACES = Path("/proc/self/net/dev")  # of the network namespace of this process
@@ -116,7 +118,8 @@ class _Channel:
         commanded = {frame.id for group in groups for frame in group.driver.coast_frames()}
         self.claims = Claims(config.interface, config.channel, commanded)
         self._config = config
-        self._most_frames = max(MAX_FRAMES_PER_DRAIN, round(2.0 * config.bitrate / SHORTEST_FRAME_BITS / rate_hz))
+        shortest = SHORTEST_FD_FRAME_BITS if config.fd else SHORTEST_FRAME_BITS
+        self._most_frames = max(MAX_FRAMES_PER_DRAIN, round(2.0 * config.bitrate / shortest / rate_hz))
         self._kernel_stamps = config.interface == "socketcan"
         self._filters = [wanted for group in groups for wanted in group.driver.receive_filters()]
         self._bus: can.BusABC | None = None
@@ -142,8 +145,12 @@ class _Channel:
         bus.set_filters([_can_filter(wanted) for wanted in self._filters])
 
     def _connected(self) -> can.BusABC:
-        """The interface, open; bit rate matters only where python-can sets it (not on socketcan)."""
-        return can.Bus(interface=self._config.interface, channel=self._config.channel, bitrate=self._config.bitrate)
+        """The interface, open; bit rates matter only where python-can sets them (not on socketcan)."""
+        config = self._config
+        more: dict[str, Any] = {"fd": True} if config.fd else {}  # not every adapter takes it
+        if config.data_bitrate is not None:
+            more["data_bitrate"] = config.data_bitrate
+        return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **more)
 
     def _open_elsewhere(self, thread: AdapterThread, now_ns: int) -> None:
         """Begin to open, or take over what is open by now. Raises AdapterError."""
@@ -185,7 +192,7 @@ class _Channel:
                 message = ask(self._bus.recv, 0) if self._bus else None
                 if message is None:
                     return
-                problem = ask(flaw, message)
+                problem = ask(flaw, message, fd=self._config.fd)
                 if problem is not None:
                     self._event(BusEventKind.RX_MALFORMED, f"dropped: {problem}")
                 elif message.is_error_frame:

@@ -3,7 +3,9 @@
 STOP = "cmd/stop"  # anything put here is an emergency stop
 RESET = "cmd/reset"  # asked
 REFERENCE = "cmd/reference"  # asked
+SET = "cmd/set"  # asked
 COMMANDS = "cmd/**"
+SENSORS = "sensor/**"
 STATUS = "status"  # asked
 CONFIG = "config"  # asked: the robot file
 ODOMETRY = "odometry"
@@ -18,6 +20,11 @@ ALIVE = "alive"  # a liveliness token
 def twist(source: str) -> str:
     """Where a command source puts its twists."""
     return f"cmd/twist/{source}"
+
+
+def sample(sensor: str) -> str:
+    """Where a sensor puts its samples."""
+    return f"sensor/{sensor}"
 
 
 def key(robot: str, rest: str) -> str:

@@ -11,42 +11,45 @@ from queue import SimpleQueue
 from typing import NamedTuple, TypeVar
 
 from gateway.edges import keys, messages
-from gateway.types import Event, Level, Refusal, Request, RequestKind, TwistCommand
+from gateway.types import Event, Level, Refusal, Request, RequestKind, SensorSample, TwistCommand
 
 MAX_REFUSALS = 32  # waiting for the loop; the oldest are dropped
 MAX_EVENTS = 256  # waiting to be published; those that find no room are counted
 MAX_QUESTIONS = 16  # requests with an answer, waiting for the loop
 QUESTION_EXPIRY_NS = 500_000_000  # one seen later is dropped: its asker would be told "no answer" although it worked
 
-_Dated = TypeVar("_Dated", TwistCommand, Refusal, Request)
+_Dated = TypeVar("_Dated", TwistCommand, Refusal, Request, SensorSample)
 
 
 class Drained(NamedTuple):
-    """What came in since the last cycle: commands in the order of the robot file; a stop last, so that it wins."""
+    """What came in since the last cycle, in the order of the robot file; a stop is the last request: it wins."""
 
     commands: tuple[TwistCommand, ...]
     refusals: tuple[Refusal, ...]
     requests: tuple[Request, ...]
+    samples: tuple[SensorSample, ...]
 
 
-NOTHING = Drained((), (), ())
+NOTHING = Drained((), (), (), ())
 
 
 class Mailbox:
     """From the subscribers' threads, which append, to the loop, which takes."""
 
-    def __init__(self, sources: Iterable[str]) -> None:
+    def __init__(self, sources: Iterable[str], sensors: Iterable[str] = ()) -> None:
         self.commands: dict[str, deque[TwistCommand]] = {source: deque(maxlen=1) for source in sources}
+        self.samples: dict[str, deque[SensorSample]] = {sensor: deque(maxlen=1) for sensor in sensors}
         self.refusals: deque[Refusal] = deque(maxlen=MAX_REFUSALS)
         self.questions: deque[Request] = deque(maxlen=MAX_QUESTIONS)
         self.stops: deque[Request] = deque(maxlen=1)
-        self._all = (*self.commands.values(), self.refusals, self.questions, self.stops)
+        self._all = (*self.commands.values(), *self.samples.values(), self.refusals, self.questions, self.stops)
 
     def drain(self, now_ns: int) -> Drained:
-        """Everything that waits: of each source the newest command; nothing dated after `now_ns`."""
+        """Everything that waits: of each source and sensor the newest; nothing dated after `now_ns`."""
         if not any(self._all):
             return NOTHING
         commands = [slot.popleft() for slot in self.commands.values() if slot]
+        samples = [slot.popleft() for slot in self.samples.values() if slot]
         refusals = [self.refusals.popleft() for _ in range(len(self.refusals))]
         requests = [self.questions.popleft() for _ in range(len(self.questions))]
         requests += [self.stops.popleft() for _ in range(len(self.stops))]
@@ -54,6 +57,7 @@ class Mailbox:
             commands=tuple(_not_after(now_ns, command) for command in commands),
             refusals=tuple(_not_after(now_ns, refusal) for refusal in refusals),
             requests=tuple(_not_after(now_ns, request) for request in requests if not _expired(request, now_ns)),
+            samples=tuple(_not_after(now_ns, sample) for sample in samples),
         )
 
 

@@ -2,10 +2,12 @@
 
 | key                  | verb       | payload                                                                        |
 |----------------------|------------|--------------------------------------------------------------------------------|
-| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz"}` and, each optional, `"frame", "seq", "stamp", "sender"`   |
+| `cmd/twist/<source>` | put        | `{"vx", "vy", "wz"}` and what is optional, see below                           |
+| `sensor/<name>`      | put        | by the sensor's kind, see below                                                |
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
+| `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
@@ -16,7 +18,11 @@
 | `alive`              | liveliness | there while the gateway runs                                                   |
 
 A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
-MAX_PAYLOAD bytes. `frame` is "body" (when left out) or "odom". `seq` grows by any step from one command to the next.
+MAX_PAYLOAD bytes. Optional: `frame`, "body" (when left out) or "odom"; `width_rate`, m/s; `path_rate`, rad/s; `region`,
+"any" (when left out), "push" or "pull"; what the chassis cannot do of these is refused by the core.
+`seq` grows by any step from one command to the next.
+A sample of a sensor: `{"heading"}`, `{"roll", "pitch"}` and, each optional, `"roll_rate", "pitch_rate", "yaw_rate"`, or
+`{"range"}`; rad, rad/s, m, and as for a twist, each optional, `"seq", "stamp", "sender"`. The same rules.
 `stamp` is when it was sent, in seconds of a clock of the sender's own that never stands still and is never set;
 `sender` names the process, anew at each start of it. `reachable` is put whenever it changes and answers a get: rank and
 shares of acceleration and speed that are left, and, where motors are lost, the furthest twist along each way that is
@@ -42,7 +48,10 @@ from gateway.types import (
     Pose,
     Refusal,
     RefusalCode,
+    Region,
     Reply,
+    SensorKind,
+    SensorSample,
     Status,
     Twist,
     TwistCommand,
@@ -52,9 +61,14 @@ from gateway.types import (
 MAX_PAYLOAD = 1024  # bytes; a full twist is below 200
 MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong unit
 MAX_TURN = 50.0  # rad/s: likewise
+MAX_WIDTH_RATE = 5.0  # m/s
 MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
 MAX_STAMP = 1e10  # s, three centuries; a double still tells microseconds apart
+MAX_SETTING = 1e9  # the range of each setting is the core's business
 MAX_ANGLE = 6.3  # rad: one turn of a steered joint either way
+MAX_HEADING = 1e6  # rad; a gyro that turned for days, and a double still tells its microradians
+MAX_LEAN = 3.15  # rad: upside down
+MAX_RANGE = 1000.0  # m
 SENDER_PATTERN = r"^[A-Za-z0-9_.-]{1,32}$"
 MAX_SHOWN = 40  # characters of a stranger's value in a message
 
@@ -63,10 +77,22 @@ _ALLOWED = {
     "vy": f"a number from {-MAX_SPEED:g} to {MAX_SPEED:g} m/s",
     "wz": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "frame": "'body' or 'odom'",
+    "width_rate": f"a number from {-MAX_WIDTH_RATE:g} to {MAX_WIDTH_RATE:g} m/s",
+    "path_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "region": "'any', 'push' or 'pull'",
     "seq": "a whole number from 0 to 2^63-1",
     "stamp": f"a number from 0 to {MAX_STAMP:g} s",
     "sender": f"text that matches {SENDER_PATTERN}",
+    "heading": f"a number from {-MAX_HEADING:g} to {MAX_HEADING:g} rad",
+    "roll": f"a number from {-MAX_LEAN:g} to {MAX_LEAN:g} rad",
+    "pitch": f"a number from {-MAX_LEAN:g} to {MAX_LEAN:g} rad",
+    "roll_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "pitch_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "yaw_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
+    "range": f"a number from 0 to {MAX_RANGE:g} m",
     "motor": f"the name of a motor, matching {NAME_PATTERN}, or null",
+    "setting": f"the name of a setting, matching {NAME_PATTERN}",
+    "value": f"a number from {-MAX_SETTING:g} to {MAX_SETTING:g}",
     "angle": f"a number from {-MAX_ANGLE:g} to {MAX_ANGLE:g} rad",
 }
 _CODES = {
@@ -77,16 +103,56 @@ _CODES = {
 _T = TypeVar("_T")
 
 
-class _TwistPayload(BaseModel):
+class _SentPayload(BaseModel):
+    """What every sender may tell of itself."""
+
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
+    seq: Annotated[int, Field(ge=0, le=MAX_SEQUENCE)] | None = None
+    stamp: Annotated[float, Field(ge=0.0, le=MAX_STAMP)] | None = None
+    sender: Annotated[str, Field(pattern=SENDER_PATTERN)] | None = None
+
+
+class _TwistPayload(_SentPayload):
     vx: Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED)]
     vy: Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED)]
     wz: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
     frame: Literal["body", "odom"] = "body"
-    seq: Annotated[int, Field(ge=0, le=MAX_SEQUENCE)] | None = None
-    stamp: Annotated[float, Field(ge=0.0, le=MAX_STAMP)] | None = None
-    sender: Annotated[str, Field(pattern=SENDER_PATTERN)] | None = None
+    width_rate: Annotated[float, Field(ge=-MAX_WIDTH_RATE, le=MAX_WIDTH_RATE)] | None = None
+    path_rate: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)] | None = None
+    region: Literal["any", "push", "pull"] = "any"
+
+
+class _HeadingPayload(_SentPayload):
+    heading: Annotated[float, Field(ge=-MAX_HEADING, le=MAX_HEADING)]
+
+
+_Lean = Annotated[float, Field(ge=-MAX_LEAN, le=MAX_LEAN)]
+_BodyRate = Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)]
+
+
+class _AttitudePayload(_SentPayload):
+    roll: _Lean
+    pitch: _Lean
+    roll_rate: _BodyRate | None = None
+    pitch_rate: _BodyRate | None = None
+    yaw_rate: _BodyRate | None = None
+
+
+class _RangePayload(_SentPayload):
+    range: Annotated[float, Field(ge=0.0, le=MAX_RANGE)]
+
+
+_SAMPLES: dict[SensorKind, type[_SentPayload]] = {
+    SensorKind.HEADING: _HeadingPayload,
+    SensorKind.ATTITUDE: _AttitudePayload,
+    SensorKind.RANGE: _RangePayload,
+}
+# What each kind tells, in the order of SensorSample.values.
+QUANTITIES: dict[SensorKind, tuple[str, ...]] = {
+    kind: tuple(name for name in payload.model_fields if name not in _SentPayload.model_fields)
+    for kind, payload in _SAMPLES.items()
+}
 
 
 class _ReferencePayload(BaseModel):
@@ -96,10 +162,24 @@ class _ReferencePayload(BaseModel):
     angle: Annotated[float, Field(ge=-MAX_ANGLE, le=MAX_ANGLE)] = 0.0
 
 
+class _SettingPayload(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    setting: Annotated[str, Field(pattern=NAME_PATTERN)]
+    value: Annotated[float, Field(ge=-MAX_SETTING, le=MAX_SETTING)]
+
+
 class TwistMessage(NamedTuple):
     """A command as it came; `stamp_ns`: when it was sent by its sender's clock, None: not told."""
 
     command: TwistCommand
+    stamp_ns: int | None
+
+
+class SampleMessage(NamedTuple):
+    """A sample as it came; `stamp_ns` as of a TwistMessage."""
+
+    sample: SensorSample
     stamp_ns: int | None
 
 
@@ -108,6 +188,13 @@ class Reference(NamedTuple):
 
     motor: str | None
     angle: float
+
+
+class SettingChange(NamedTuple):
+    """Another value of a setting."""
+
+    setting: str
+    value: float
 
 
 class OdometryMessage(NamedTuple):
@@ -158,7 +245,7 @@ class TruthMessage(NamedTuple):
 
 
 class ResetAnswer(NamedTuple):
-    """Whether the robot did what was asked (a reset, a reference), and if not, why."""
+    """Whether the robot did what was asked (a reset, a reference, a setting), and if not, why."""
 
     ok: bool
     reason: str | None
@@ -181,8 +268,18 @@ def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistMessag
     except _UnreadableError as error:
         return Refusal(source, error.code, str(error), received_ns)
     twist = Twist(parsed.vx, parsed.vy, parsed.wz)
-    command = TwistCommand(source, twist, TwistFrame(parsed.frame), parsed.seq, received_ns, parsed.sender)
-    return TwistMessage(command, None if parsed.stamp is None else round(parsed.stamp * 1e9))
+    command = TwistCommand(
+        source,
+        twist,
+        TwistFrame(parsed.frame),
+        parsed.seq,
+        received_ns,
+        parsed.sender,
+        width_rate=parsed.width_rate,
+        path_rate=parsed.path_rate,
+        region=Region(parsed.region),
+    )
+    return TwistMessage(command, _nanoseconds(parsed.stamp))
 
 
 def encode_twist(
@@ -192,6 +289,9 @@ def encode_twist(
     sequence: SupportsIndex | None = None,
     stamp: float | None = None,
     sender: str | None = None,
+    width_rate: SupportsFloat | None = None,
+    path_rate: SupportsFloat | None = None,
+    region: Region | None = None,
 ) -> bytes:
     """What a commander puts on `cmd/twist/<source>`; any kind of number (numpy's, fractions) travels as a number.
 
@@ -203,8 +303,44 @@ def encode_twist(
         "seq": None if sequence is None else index(sequence),
         "stamp": stamp,
         "sender": sender,
+        "width_rate": None if width_rate is None else _number("width_rate", width_rate),
+        "path_rate": None if path_rate is None else _number("path_rate", path_rate),
+        "region": None if region is None else region.value,
     }
     return _checked(document | {key: value for key, value in optional.items() if value is not None}, _TwistPayload)
+
+
+def parse_sample(payload: bytes, *, sensor: str, kind: SensorKind, received_ns: int) -> SampleMessage | Refusal:
+    """The sample in the payload, or why there is none. Total: no payload raises."""
+    model = _SAMPLES[kind]
+    try:
+        parsed = model.model_validate(_document(payload))
+    except ValidationError as error:
+        return Refusal(sensor, *_reason(error, model), received_ns)
+    except _UnreadableError as error:
+        return Refusal(sensor, error.code, str(error), received_ns)
+    values = tuple(getattr(parsed, name) for name in QUANTITIES[kind])
+    return SampleMessage(
+        SensorSample(sensor, values, parsed.seq, received_ns, parsed.sender), _nanoseconds(parsed.stamp)
+    )
+
+
+def encode_sample(
+    values: Mapping[str, SupportsFloat | None],
+    *,
+    sequence: SupportsIndex | None = None,
+    stamp: float | None = None,
+    sender: str | None = None,
+) -> bytes:
+    """What a sensor puts on `sensor/<name>`; the names of the values tell its kind. Raises like `encode_twist`."""
+    told = {key for key, value in values.items() if value is not None}
+    kinds = [kind for kind, names in QUANTITIES.items() if told and told <= set(names)]
+    if not kinds:
+        names = "; ".join(", ".join(names) for names in QUANTITIES.values())
+        raise ValueError(f"{', '.join(sorted(map(_shown, told))) or 'nothing'}: a sample is of one of: {names}")
+    document = {key: _number(key, value) for key, value in values.items() if value is not None}
+    sent = {"seq": None if sequence is None else index(sequence), "stamp": stamp, "sender": sender}
+    return _checked(document | {key: value for key, value in sent.items() if value is not None}, _SAMPLES[kinds[0]])
 
 
 def parse_reference(payload: bytes) -> Reference | str:
@@ -221,6 +357,22 @@ def parse_reference(payload: bytes) -> Reference | str:
 def encode_reference(motor: str | None, angle: SupportsFloat) -> bytes:
     """Payload of a `cmd/reference`. Raises like `encode_twist`."""
     return _checked({"motor": motor, "angle": _number("angle", angle)}, _ReferencePayload)
+
+
+def parse_setting(payload: bytes) -> SettingChange | str:
+    """What the payload of a `cmd/set` says, or what is wrong with it. Total: no payload raises."""
+    try:
+        parsed = _SettingPayload.model_validate(_document(payload))
+    except ValidationError as error:
+        return _reason(error, _SettingPayload)[1]
+    except _UnreadableError as error:
+        return str(error)
+    return SettingChange(parsed.setting, parsed.value)
+
+
+def encode_setting(setting: str, value: SupportsFloat) -> bytes:
+    """Payload of a `cmd/set`. Raises like `encode_twist`."""
+    return _checked({"setting": setting, "value": _number("value", value)}, _SettingPayload)
 
 
 def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
@@ -274,7 +426,7 @@ def encode_truth(pose: Pose, t: float) -> bytes:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Answer of `cmd/reset` and `cmd/reference`."""
+    """Answer of `cmd/reset`, `cmd/reference` and `cmd/set`."""
     return _json(ResetAnswer(reply.ok, reply.reason))
 
 
@@ -326,6 +478,10 @@ def _document(payload: bytes) -> object:
     return document
 
 
+def _nanoseconds(stamp: float | None) -> int | None:
+    return None if stamp is None else round(stamp * 1e9)
+
+
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     document = dict(pairs)
     if len(document) != len(pairs):
@@ -338,7 +494,8 @@ def _reason(error: ValidationError, payload: type[BaseModel]) -> tuple[RefusalCo
     key = str(first["loc"][0]) if first["loc"] else ""
     if key not in payload.model_fields:
         what = f"unknown key {_shown(key)}" if key else "payload"
-        return RefusalCode.MALFORMED, f"{what}: must be a JSON object of {', '.join(payload.model_fields)}"
+        keys = sorted(payload.model_fields, key=lambda name: name in _SentPayload.model_fields)  # its own first
+        return RefusalCode.MALFORMED, f"{what}: must be a JSON object of {', '.join(keys)}"
     if first["type"] == "missing":
         return RefusalCode.MALFORMED, f"{key} is missing: must be {_ALLOWED[key]}"
     code = RefusalCode.WRONG_FRAME if key == "frame" else _CODES.get(first["type"], RefusalCode.MALFORMED)

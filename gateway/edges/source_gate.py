@@ -6,15 +6,21 @@ two clocks share no zero, but arrival minus stamp is the same for every command 
 the smallest such offset belongs to the fastest command, and what another one has more is its delay. Age counts from
 arrival less that delay; a delay beyond the timeout is refused. What the fastest command itself waited stays unknown.
 
+So it is with the samples of sensors, of which each sensor is a source.
+
 One sender holds a source, so that two that publish by mistake do not alternate, until it was silent for the timeout.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
-from gateway.types import Refusal, RefusalCode, TwistCommand
+from gateway.types import Refusal, RefusalCode, SensorSample, TwistCommand
 
 # How far two clocks may drift apart: the kernel slews a clock by at most 500 ppm (adjtimex(2)); quartz has below 100.
 DRIFT_PPM = 500
+
+
+_Sent = TypeVar("_Sent", TwistCommand, SensorSample)
 
 
 @dataclass(slots=True)
@@ -30,7 +36,7 @@ class SourceGate:
     _offset_ns: int = 0  # arrival - stamp of the fastest command, allowing for drift
     _offset_at_ns: int = 0
 
-    def admit(self, command: TwistCommand, stamp_ns: int | None) -> TwistCommand | Refusal:
+    def admit(self, command: _Sent, stamp_ns: int | None) -> _Sent | Refusal:
         """The command with its age corrected and its sender noted, or why it does not pass.
 
         `stamp_ns`: when it was sent by its sender's clock; None: not told, and its age counts from arrival. A first
@@ -52,11 +58,11 @@ class SourceGate:
         self._passed_ns = command.received_ns - (delay_ns or 0)
         return command._replace(received_ns=self._passed_ns, sender=self._known_as(), stamped=delay_ns is not None)
 
-    def _held(self, command: TwistCommand) -> str:
+    def _held(self, command: _Sent) -> str:
         holder, other = _name(self._sender), _name(command.sender)
         return f"{other}: {holder} holds this source until it is silent for {self.timeout_ns * 1e-9:g} s"
 
-    def _out_of_order(self, command: TwistCommand, stamp_ns: int | None) -> str | None:
+    def _out_of_order(self, command: _Sent, stamp_ns: int | None) -> str | None:
         # A commander that restarted counts from its beginning; it is believed once its former self has timed out.
         if command.sequence is not None and self._sequence is not None and command.sequence <= self._sequence:
             return f"seq = {command.sequence}: must be greater than the last accepted one, {self._sequence}"
@@ -86,5 +92,5 @@ def _name(sender: str | None) -> str:
     return "a sender without a name" if sender is None else f"sender {sender}"
 
 
-def _refusal(command: TwistCommand, code: RefusalCode, text: str) -> Refusal:
+def _refusal(command: TwistCommand | SensorSample, code: RefusalCode, text: str) -> Refusal:
     return Refusal(command.source, code, text, command.received_ns)

@@ -1,14 +1,15 @@
 """The Zenoh edge: commands in; odometry, state and events out. Keys and payloads are listed in `messages`.
 
-How this works. Every source and the emergency stop have a subscriber with a ring of one and a thread of their own, so a
-slow reader never makes a command old and never holds up the stop. The threads parse and leave the result in a mailbox,
-which the loop empties once per cycle with `drain`; what the loop says goes through an outbox to one publisher thread.
+How this works. Every source, every sensor and the emergency stop have a subscriber with a ring of one and a thread of
+their own, so a slow reader never makes a command old and never holds up the stop. The threads parse and leave the
+result in a mailbox, which the loop empties once per cycle with `drain`; what the loop says goes through an outbox to
+one publisher thread.
 
 Anyone may put, delete or get `**`, which reaches every key. Therefore:
-- a twist drives only when it was put on exactly the key of a configured source;
+- a twist drives only when it was put on exactly the key of a configured source; a sample likewise of a sensor;
 - whatever reaches `cmd/stop` stops, also a delete or a wildcard: a stop too many is safe, a missed one is not;
-- a reset or a reference counts only when asked by its exact key, because a get on `**` is how people look around;
-- everything else under `cmd/` is refused and reported.
+- a reset, a reference or a setting counts only when asked by its exact key: a get on `**` is how people look around;
+- everything else under `cmd/` and `sensor/` is refused and reported.
 """
 
 import time
@@ -19,10 +20,10 @@ from typing import Self
 
 import zenoh
 
-from gateway.config import RobotConfig
+from gateway.config import RobotConfig, Sensor
 from gateway.edges import keys, messages
 from gateway.edges.mailbox import Drained, Mailbox, Outbox
-from gateway.edges.messages import TwistMessage
+from gateway.edges.messages import SampleMessage, TwistMessage
 from gateway.edges.source_gate import SourceGate
 from gateway.edges.zenoh_questions import END, Questions, answer
 from gateway.edges.zenoh_session import CLOSE_S, LinkError, Receivers, open_zenoh
@@ -55,8 +56,10 @@ class ZenohLink:
     def __init__(self, config: RobotConfig, config_text: str) -> None:
         self._robot = config.robot.name
         self._sources = [source.name for source in config.commands.source]
-        self._own_keys = {self._key(keys.twist(source)) for source in self._sources} | {self._key(keys.STOP)}
-        self._mailbox = Mailbox(self._sources)
+        self._sensors = [sensor.name for sensor in config.sensor]
+        own = [keys.STOP, *map(keys.twist, self._sources), *map(keys.sample, self._sensors)]
+        self._own_keys = set(map(self._key, own))
+        self._mailbox = Mailbox(self._sources, self._sensors)
         self._outbox = Outbox()
         self._questions = Questions(self._mailbox.questions.append)
         self._newest: dict[str, bytes] = {}  # of the payloads that are also asked for
@@ -74,11 +77,15 @@ class ZenohLink:
         for source in config.commands.source:
             gate = SourceGate(round(source.timeout * 1e9))
             self._receivers.subscribe(self._key(keys.twist(source.name)), partial(self._receive, source.name, gate))
+        for sensor in config.sensor:
+            gate = SourceGate(round(sensor.timeout * 1e9))
+            self._receivers.subscribe(self._key(keys.sample(sensor.name)), partial(self._sense, sensor, gate))
         self._receivers.subscribe(self._key(keys.STOP), self._stop)
         self._receivers.subscribe(self._key(keys.COMMANDS), self._refuse_stranger, ring=MAX_STRANGERS)
+        self._receivers.subscribe(self._key(keys.SENSORS), self._refuse_strange_sample, ring=MAX_STRANGERS)
         answers = iter(self._questions.next_reply, END)
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
-        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference)):
+        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference), (keys.SET, _set)):
             self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
         for asked, told in ((keys.STATUS, keys.STATE), (keys.REACHABLE, keys.REACHABLE)):
             self._receivers.answer(self._key(asked), partial(self._answer_newest, asked, told), ring=MAX_LOOKS)
@@ -87,7 +94,7 @@ class ZenohLink:
         self._token = self._session.liveliness().declare_token(self._key(keys.ALIVE))
 
     def drain(self, now_ns: int) -> Drained:
-        """Newest command of each source, refusals and requests since the last call; never waits."""
+        """The newest of each source and each sensor, refusals and requests since the last call; never waits."""
         if self._receivers.ended:
             raise LinkError(f"zenoh: thread ended: {'; '.join(self._receivers.ended)}")
         return self._mailbox.drain(now_ns)
@@ -163,15 +170,36 @@ class ZenohLink:
             return
         self._mailbox.commands[source].append(outcome)
 
+    def _sense(self, sensor: Sensor, gate: SourceGate, received: zenoh.Sample) -> None:
+        received_ns = time.monotonic_ns()
+        if str(received.key_expr) != self._key(keys.sample(sensor.name)):
+            return  # a wildcard: refused by the subscriber of strangers
+        message = _sample(received, sensor, received_ns)
+        outcome = message if isinstance(message, Refusal) else gate.admit(*message)
+        if isinstance(outcome, Refusal):
+            self._mailbox.refusals.append(outcome)
+            return
+        self._mailbox.samples[sensor.name].append(outcome)
+
     def _stop(self, _: zenoh.Sample) -> None:
         self._mailbox.stops.append(Request(RequestKind.ESTOP, 0, time.monotonic_ns()))
 
     def _refuse_stranger(self, sample: zenoh.Sample) -> None:
+        known = f"the sources are {', '.join(self._sources)}"
+        self._refuse(sample, RefusalCode.UNKNOWN_SOURCE, known)
+
+    def _refuse_strange_sample(self, sample: zenoh.Sample) -> None:
+        if sample.key_expr.intersects(self._key(keys.COMMANDS)):
+            return  # a wildcard that reaches commands too, and is refused as such
+        known = f"the sensors are {', '.join(self._sensors)}" if self._sensors else "this robot has no [[sensor]]"
+        self._refuse(sample, RefusalCode.UNKNOWN_SENSOR, known)
+
+    def _refuse(self, sample: zenoh.Sample, unknown: RefusalCode, known: str) -> None:
         received_ns, key = time.monotonic_ns(), str(sample.key_expr)
         if key in self._own_keys:
             return
         shown = ascii(key)[1:-1][:MAX_KEY_SHOWN]
-        code, text = RefusalCode.UNKNOWN_SOURCE, f"put on {shown}: the sources are {', '.join(self._sources)}"
+        code, text = unknown, f"put on {shown}: {known}"
         if sample.kind != zenoh.SampleKind.PUT:
             code, text = RefusalCode.NOT_A_PUT, f"delete on {shown}: must be a put"
         elif "*" in key:
@@ -208,6 +236,13 @@ def _twist(sample: zenoh.Sample, source: str, received_ns: int) -> TwistMessage 
     return messages.parse_twist(sample.payload.to_bytes(), source=source, received_ns=received_ns)
 
 
+def _sample(received: zenoh.Sample, sensor: Sensor, received_ns: int) -> SampleMessage | Refusal:
+    if received.kind != zenoh.SampleKind.PUT:
+        return Refusal(sensor.name, RefusalCode.NOT_A_PUT, "delete: must be a put", received_ns)
+    payload = received.payload.to_bytes()
+    return messages.parse_sample(payload, sensor=sensor.name, kind=sensor.kind, received_ns=received_ns)
+
+
 def _reset(_: bytes, received_ns: int) -> Request:
     return Request(RequestKind.RESET, 0, received_ns)
 
@@ -215,3 +250,10 @@ def _reset(_: bytes, received_ns: int) -> Request:
 def _reference(payload: bytes, received_ns: int) -> Request | str:
     reference = messages.parse_reference(payload)
     return reference if isinstance(reference, str) else Request(RequestKind.REFERENCE, 0, received_ns, *reference)
+
+
+def _set(payload: bytes, received_ns: int) -> Request | str:
+    change = messages.parse_setting(payload)
+    if isinstance(change, str):
+        return change
+    return Request(RequestKind.SET, 0, received_ns, setting=change.setting, value=change.value)

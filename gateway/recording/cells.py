@@ -145,7 +145,9 @@ class _Lists:
         self._lengths = Numbers(lengths)
         self._numbers = numbers
         self._ends = np.cumsum(lengths)
-        if (self._ends[-1] if len(lengths) else 0) != len(numbers.array) or bool((lengths < 0).any()):
+        size = len(numbers.array)
+        # Each by itself too: sums of lengths beyond all measure wrap around, and may fit again.
+        if (self._ends[-1] if len(lengths) else 0) != size or bool(((lengths < 0) | (lengths > size)).any()):
             raise ValueError("the lengths do not fit the numbers")
 
     def parts(self) -> list[bytes]:

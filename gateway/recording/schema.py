@@ -14,6 +14,7 @@ Version 1, which had a row of Rerun's for each frame, is still read (`replay.ses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
 from itertools import repeat
+from math import isnan, nan
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -30,9 +31,11 @@ from gateway.types import (
     Pose,
     Refusal,
     RefusalCode,
+    Region,
     Reply,
     Request,
     RequestKind,
+    SensorSample,
     Status,
     Twist,
     TwistCommand,
@@ -70,8 +73,8 @@ Values = Callable[[Iterable[Row]], Iterable[Any]]
 class Table(NamedTuple):
     """What the rows of a block hold, how a cycle becomes rows and how rows become values again.
 
-    A column that an older block does not have reads as None, zero, False or empty; one that this table does not have
-    is passed over.
+    A column that a block does not have, because it is older or because it would say nothing else (`block`), reads as
+    None, zero, False or empty; one that this table does not have is passed over.
     """
 
     name: str
@@ -135,14 +138,15 @@ GAP_COLUMNS = {"first_cycle": Kind.INT, "last_cycle": Kind.INT, "reason": Kind.T
 
 def _command_rows(record: Record) -> Sequence[Row]:
     return [
-        (c.source, *c.twist, c.frame.value, c.sequence, c.received_ns, c.sender, c.stamped)
+        (c.source, *c.twist, c.frame.value, *c[3:9], None if c.region is Region.ANY else c.region.value)
         for c in record.inputs.commands
     ]
 
 
 def _command(row: Row) -> TwistCommand:
-    source, vx, vy, wz, frame, *rest = row
-    return TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *rest)
+    source, vx, vy, wz, frame, *rest, region = row
+    command = TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *rest)
+    return command if region is None else command._replace(region=Region(region))
 
 
 def _refusal_rows(record: Record) -> Sequence[Row]:
@@ -155,7 +159,7 @@ def _refusal(row: Row) -> Refusal:
 
 
 def _request_rows(record: Record) -> Sequence[Row]:
-    return [(r.kind.value, r.id, r.received_ns, r.motor, r.angle) for r in record.inputs.requests]
+    return [(r.kind.value, *r[1:]) for r in record.inputs.requests]
 
 
 def _request(row: Row) -> Request:
@@ -170,6 +174,16 @@ def _bus_event_rows(record: Record) -> Sequence[Row]:
 def _bus_event(row: Row) -> BusEvent:
     bus, kind, occurrences, text = row
     return BusEvent(bus, BusEventKind(kind), occurrences, text)
+
+
+# What a sensor does not tell is no number in the list: no number that an edge lets in is one.
+def _sample_rows(record: Record) -> Sequence[Row]:
+    return [(s.source, [nan if value is None else value for value in s.values], *s[2:]) for s in record.inputs.samples]
+
+
+def _sample(row: Row) -> SensorSample:
+    source, values, *rest = row
+    return SensorSample(source, tuple([None if isnan(value) else value for value in values]), *rest)
 
 
 def _event_rows(record: Record) -> Sequence[Row]:
@@ -195,7 +209,6 @@ def _odometry(row: Row) -> Odometry:
     return Odometry(Pose(x, y, theta), twist, tuple(covariance), residual)
 
 
-# Data takes the 64 bytes of CAN FD; its flags will be two more columns, which older blocks read as false.
 CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "bus": Kind.TEXT,
     "id": Kind.ID,
@@ -203,12 +216,15 @@ CAN_COLUMNS = {  # the fields of CanFrame, in its order
     "extended": Kind.BOOL,
     "remote": Kind.BOOL,
     "received_ns": Kind.MAYBE_INT,
+    "fd": Kind.BOOL,
+    "bit_rate_switch": Kind.BOOL,
 }
 FRAMES_IN = Table("frames_in", CAN_COLUMNS, lambda record: record.inputs.frames, tuples(CanFrame))
 COMMANDS = Table(
     "commands",
     {"source": Kind.TEXT, "vx": Kind.FLOAT, "vy": Kind.FLOAT, "wz": Kind.FLOAT, "frame": Kind.TEXT}
-    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL},
+    | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL}
+    | {"width_rate": Kind.MAYBE_FLOAT, "path_rate": Kind.MAYBE_FLOAT, "region": Kind.MAYBE_TEXT},
     _command_rows,
     each(_command),
 )
@@ -221,7 +237,7 @@ REFUSALS = Table(
 REQUESTS = Table(
     "requests",
     {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT}
-    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT},
+    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT},
     _request_rows,
     each(_request),
 )
@@ -230,6 +246,13 @@ BUS_EVENTS = Table(
     {"bus": Kind.TEXT, "kind": Kind.TEXT, "occurrences": Kind.INT, "text": Kind.TEXT},
     _bus_event_rows,
     each(_bus_event),
+)
+SAMPLES = Table(
+    "samples",
+    {"source": Kind.TEXT, "values": Kind.FLOATS, "sequence": Kind.MAYBE_INT, "received_ns": Kind.INT}
+    | {"sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL},
+    _sample_rows,
+    each(_sample),
 )
 FRAMES_OUT = Table("frames_out", CAN_COLUMNS, lambda record: record.outputs.frames, tuples(CanFrame))
 EVENTS = Table("events", {"level": Kind.TEXT, "code": Kind.TEXT, "text": Kind.TEXT}, _event_rows, each(_event))
@@ -248,7 +271,7 @@ ODOMETRY = Table(
     each(_odometry),
 )
 
-INPUTS = (FRAMES_IN, COMMANDS, REFUSALS, REQUESTS, BUS_EVENTS)  # in the order of the fields of Inputs
+INPUTS = (FRAMES_IN, COMMANDS, REFUSALS, REQUESTS, BUS_EVENTS, SAMPLES)  # in the order of the fields of Inputs
 OUTPUTS = (FRAMES_OUT, EVENTS, REPLIES, ODOMETRY)
 TABLES = (*INPUTS, *OUTPUTS)
 COUNTERS = ("cycle", "now_ns", "overruns", "dropped_records", "late_ns", "work_ns", "wall_ns")
@@ -291,4 +314,6 @@ def status_row(status: Status) -> Row:
     named["sources"] = [source._asdict() for source in status.sources]
     named["motors"] = [motor._asdict() for motor in status.motors]
     named["ability"] = status.ability._asdict()
+    named["sensors"] = [sensor._asdict() for sensor in status.sensors]
+    named["settings"] = [setting._asdict() for setting in status.settings]
     return (msgspec.json.encode(named).decode(),)

@@ -16,7 +16,7 @@ import rerun as rr
 
 from drivers.contract import CanFrame
 from gateway.config import RobotConfig
-from gateway.core.channels import Layout, channels_of, entities
+from gateway.core.channels import Layout, channels_of, entities, owners
 from gateway.core.frame_words import FrameWords
 from gateway.recording.columns import Integers, Times
 from gateway.recording.packets import Gap, Record
@@ -62,8 +62,9 @@ class Views:
         self._config = config
         self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = config.robot.drawing().beneath
-        self._entities = entities(channels_of(config.robot))  # each costs a kilobyte per batch
-        self._layouts = {entity: Layout(config.robot, channels) for entity, channels in self._entities.items()}
+        self._owners = owners(config)
+        self._entities = entities(channels_of(config))  # each costs a kilobyte per batch
+        self._layouts = {entity: Layout(self._owners, channels) for entity, channels in self._entities.items()}
         self._mode: Mode | None = None
         self._words = FrameWords(config)
         self._plot = self._picture = self._slot = -1
@@ -76,12 +77,7 @@ class Views:
         self._mode = None
         for entity, channels in self._entities.items():
             asked, measured = (
-                [
-                    label
-                    for channel in channels
-                    if channel.asked is wanted
-                    for label in channel.labels(self._config.robot)
-                ]
+                [label for channel in channels if channel.asked is wanted for label in channel.labels(self._owners)]
                 for wanted in (True, False)
             )
             _lines(recording, f"{CHANNELS_ROOT}/{entity}", measured, asked=asked)

@@ -63,7 +63,7 @@ class SessionWriter:
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
         self._views = Views(config)
-        self._blueprint = blueprint(channels_of(config.robot), eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
+        self._blueprint = blueprint(channels_of(config), eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0

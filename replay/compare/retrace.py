@@ -27,14 +27,13 @@ class Told(NamedTuple):
 
 def columns(session: Session) -> list[str]:
     """Names of the cells of `rows`; motors in chassis order. Raises ConfigError."""
-    chassis = parse(session.config_text, "robot file of the session").robot
-    return ["cycle", "t", "mode", *layout_of(chassis).labels]
+    return ["cycle", "t", "mode", *layout_of(parse(session.config_text, "robot file of the session")).labels]
 
 
 def rows(session: Session) -> Iterator[list[Cell]]:
     """One row per cycle that can be replayed, SI, None where something is unknown or released. Raises ConfigError."""
     config = parse(session.config_text, "robot file of the session")
-    replay, layout = Replay(config, session.snapshot), layout_of(config.robot)
+    replay, layout = Replay(config, session.snapshot), layout_of(config)
     first_ns = None
     for inputs, _ in session.cycles():
         first_ns = inputs.now_ns if first_ns is None else first_ns

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 
 from gateway.config import RobotConfig
 from gateway.core.engine import Engine
-from gateway.types import Inputs, Mode, Outputs, Request, RequestKind, TwistCommand
+from gateway.types import Inputs, Mode, Outputs, Request, RequestKind, SensorSample, TwistCommand
 from replay.sim.bus import SimulatedBus
 from replay.sim.plants.contract import Plant
 from replay.sim.robot import SimulatedRobot
@@ -51,7 +51,13 @@ class ClosedLoop:
         """When the last cycle was due."""
         return self.next_ns - self.period_ns
 
-    def cycle(self, *, commands: Iterable[TwistCommand] = (), requests: Iterable[Request] = ()) -> Cycle:
+    def cycle(
+        self,
+        *,
+        commands: Iterable[TwistCommand] = (),
+        requests: Iterable[Request] = (),
+        samples: Iterable[SensorSample] = (),
+    ) -> Cycle:
         """The next cycle of the grid, with what came in since the one before."""
         now_ns = self.next_ns
         if self._opening_ns is not None:
@@ -65,6 +71,7 @@ class ClosedLoop:
             commands=tuple(commands),
             requests=(*self._remembered(now_ns), *requests),
             bus_events=tuple(bus_events),
+            samples=tuple(samples),
             overruns=self._overruns,
         )
         outputs = self.engine.step(inputs)

@@ -22,11 +22,13 @@ from pathlib import Path
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
 from gateway.edges.can_bus import interface_exists
-from gateway.types import Mode, Request, RequestKind, TwistCommand
+from gateway.edges.messages import QUANTITIES
+from gateway.types import Mode, Request, RequestKind, SensorSample, TwistCommand
 from replay.compare.likeness import Comparison, compare, moments
 from replay.sessions.reader import Session, open_session
 
 READY_S = 60.0
+Process = subprocess.Popen[bytes]
 REST_S = 15.0
 END_S = 40.0
 
@@ -49,7 +51,7 @@ def redrive(session: Session, *, channel: str, out: Path, tick_ms: int) -> Compa
         service = stack.enter_context(_process("run", str(file), "--out", str(out), "--endpoint", endpoint))
         client = stack.enter_context(Client(config.robot.name, connect=[endpoint]))
         _await_ready(client, service)
-        _give(given, client, service)
+        _give(given, config, client, service)
         path = _finish(client, service, told=any(_is_shutdown(one) for _, one in given))
     try:
         return compare(moments(session), moments(open_session(path)), config, str(path))
@@ -89,12 +91,16 @@ def _on_channel(config: RobotConfig, channel: str) -> RobotConfig:
     return config.model_copy(update={"bus": buses})
 
 
-def _given(session: Session) -> list[tuple[int, TwistCommand | Request]]:
+_Given = TwistCommand | Request | SensorSample
+
+
+def _given(session: Session) -> list[tuple[int, _Given]]:
     """What was asked of the robot, in order of arrival, in time since the first command."""
-    asked: list[TwistCommand | Request] = []
+    asked: list[_Given] = []
     for inputs, _ in session.cycles():
         asked += inputs.commands
         asked += inputs.requests
+        asked += inputs.samples
     first_ns = next((one.received_ns for one in asked if isinstance(one, TwistCommand)), None)
     if first_ns is None:
         raise RedriveError("nothing was commanded in this session")
@@ -117,7 +123,7 @@ def _process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
             process.wait()
 
 
-def _await_ready(client: Client, service: subprocess.Popen[bytes]) -> None:
+def _await_ready(client: Client, service: Process) -> None:
     """The service listens, every motor answers, and it waits for a command."""
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
@@ -129,26 +135,36 @@ def _await_ready(client: Client, service: subprocess.Popen[bytes]) -> None:
     raise RedriveError(f"the service does not get ready: {state.status.reason if state else 'no state received'}")
 
 
-def _give(
-    given: Sequence[tuple[int, TwistCommand | Request]], client: Client, service: subprocess.Popen[bytes]
-) -> None:
+def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Client, service: Process) -> None:
     """Everything at its time; a shutdown is the signal that asks for it."""
+    kinds = {sensor.name: sensor.kind for sensor in config.sensor}
     begin_ns = time.monotonic_ns()
     for due_ns, one in given:
         time.sleep(max(0.0, (begin_ns + due_ns - time.monotonic_ns()) * 1e-9))
         if isinstance(one, TwistCommand):
-            client.send_twist(*one.twist, source=one.source, frame=one.frame)
+            client.send_twist(
+                *one.twist,
+                source=one.source,
+                frame=one.frame,
+                width_rate=one.width_rate,
+                path_rate=one.path_rate,
+                region=one.region,
+            )
+        elif isinstance(one, SensorSample):
+            client.sense(one.source, **dict(zip(QUANTITIES[kinds[one.source]], one.values, strict=True)))
         elif one.kind is RequestKind.ESTOP:
             client.stop(timeout=0.0)  # waiting for its confirmation would delay what follows
         elif one.kind is RequestKind.RESET:
             client.reset()
         elif one.kind is RequestKind.REFERENCE:
             client.reference(one.motor, one.angle or 0.0)
+        elif one.kind is RequestKind.SET:
+            client.set(str(one.setting), one.value or 0.0)
         else:
             service.send_signal(signal.SIGTERM)
 
 
-def _finish(client: Client, service: subprocess.Popen[bytes], *, told: bool) -> Path:
+def _finish(client: Client, service: Process, *, told: bool) -> Path:
     """The session of the service after its end, which it is told at rest if it has not been told yet."""
     state = client.state()
     if not told:
@@ -161,5 +177,5 @@ def _finish(client: Client, service: subprocess.Popen[bytes], *, told: bool) -> 
     return Path(str(recording["session"]))
 
 
-def _is_shutdown(one: TwistCommand | Request) -> bool:
+def _is_shutdown(one: _Given) -> bool:
     return isinstance(one, Request) and one.kind is RequestKind.SHUTDOWN

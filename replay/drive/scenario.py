@@ -8,7 +8,7 @@ next cycle away, and what falls into it happens all the same.
 """
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -151,6 +151,8 @@ class _Drive:
             return partial(self._command, at.command)
         if at.silence is not None:
             return partial(self._commanders.silence, at.silence)
+        if at.set is not None:
+            return partial(self._set, at.set)
         if at.fault is not None:
             return partial(self._pause if at.fault.kind is FaultKind.LOOP_PAUSE else self._break, at.fault)
         if at.request == "restart":
@@ -173,6 +175,11 @@ class _Drive:
         stated = (angle or 0.0) if reference else None
         self._asked_for += 1
         self._requests.append(Request(kind, self._asked_for, now_ns, angle=stated))
+
+    def _set(self, values: Mapping[str, float], now_ns: int) -> None:
+        for name, value in values.items():
+            self._asked_for += 1
+            self._requests.append(Request(RequestKind.SET, self._asked_for, now_ns, setting=name, value=value))
 
     def _restart(self, now_ns: int) -> None:
         alive_ns = now_ns + round(RESTART_S * _SECOND_NS)

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from gateway import robot_files
 from gateway.config import ConfigError, RobotConfig, parse_as, read
+from gateway.core.settings import problems
 from gateway.edges.messages import MAX_SPEED, MAX_TURN
 from gateway.sections import Name
 from gateway.types import Mode
@@ -21,7 +22,7 @@ Speed = Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED, allow_inf_nan=False,
 Turn = Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN, allow_inf_nan=False, description="rad/s")]
 JointAngle = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False, description="rad at the output")]
 
-ACTIONS = ("command", "silence", "request", "fault")
+ACTIONS = ("command", "silence", "request", "set", "fault")
 
 
 class _Section(BaseModel):
@@ -78,13 +79,14 @@ class Fault(_Section):
 
 
 class At(_Section):
-    """What happens at one moment: exactly one of command, silence, request and fault."""
+    """What happens at one moment: exactly one of command, silence, request, set and fault."""
 
     t: Time
     command: Command | None = None
     silence: Name | None = None
     request: Literal["estop", "reset", "shutdown", "restart", "reference"] | None = None
     angle: JointAngle | None = None  # of a reference, from the joint's zero
+    set: dict[Name, float] | None = None  # settings with their new values
     fault: Fault | None = None
 
     @model_validator(mode="after")
@@ -94,6 +96,9 @@ class At(_Section):
             raise ValueError(f"must have exactly one of {', '.join(ACTIONS)}, has {' and '.join(given) or 'none'}")
         if self.angle is not None and self.request != "reference":
             raise ValueError(f"angle = {self.angle}: belongs to request = 'reference' only")
+        wrong = problems(self.set or {})
+        if wrong:
+            raise ValueError("; ".join(wrong))
         return self
 
 

@@ -103,7 +103,7 @@ OUTPUT_CYCLE = Entity(
     tuple,
 )
 INPUTS = (
-    Entity("/inputs/can", CAN_COLUMNS, CanFrame._make),
+    Entity("/inputs/can", CAN_COLUMNS, lambda row: CanFrame(*row)),
     Entity(
         "/inputs/command",
         {"source": Kind.TEXT, "vx": Kind.FLOAT, "vy": Kind.FLOAT, "wz": Kind.FLOAT, "frame": Kind.TEXT}
@@ -128,7 +128,7 @@ INPUTS = (
     ),
 )
 OUTPUTS = (
-    Entity("/outputs/can", CAN_COLUMNS, CanFrame._make),
+    Entity("/outputs/can", CAN_COLUMNS, lambda row: CanFrame(*row)),
     Entity("/outputs/event", {"level": Kind.TEXT, "code": Kind.TEXT, "text": Kind.TEXT}, _event),
     Entity("/outputs/reply", {"id": Kind.INT, "ok": Kind.BOOL, "reason": Kind.MAYBE_TEXT}, Reply._make),
     Entity(
@@ -188,7 +188,9 @@ class CycleRows:
     def _values(self, start: int, end: int) -> Iterator[Cycle]:
         groups = [group.window(start, end) for group in self._groups]
         now, overruns, dropped = (column[start:end].tolist() for column in self._inputs)
-        inputs = map(Inputs, self.cycle[start:end].tolist(), now, *groups[: len(INPUTS)], overruns, dropped)
+        no_samples: Iterator[tuple[Any, ...]] = repeat(())
+        given = (*groups[: len(INPUTS)], no_samples, overruns, dropped)
+        inputs = map(Inputs, self.cycle[start:end].tolist(), now, *given)
         frames, events, replies, odometry = groups[len(INPUTS) :]
         modes = [_MODES[text] for text in self._mode[start:end]]
         due = [values[0] if values else None for values in odometry]
@@ -214,7 +216,8 @@ class _Rows:
             _LISTS[kind](self._columns[name].slice(start, end - start)) for name, kind in self._entity.columns.items()
         ]
         if self._entity.columns is CAN_COLUMNS:  # by far the most rows: made without a call of Python each
-            return tuple(map(tuple.__new__, repeat(CanFrame), zip(*columns, strict=True)))
+            classic = [False] * (end - start)  # neither of CAN FD nor with a bit rate switch
+            return tuple(map(tuple.__new__, repeat(CanFrame), zip(*columns, classic, classic, strict=True)))
         return tuple(map(self._entity.value, zip(*columns, strict=True)))
 
     def numbers(self, name: str) -> Integers:

@@ -20,7 +20,7 @@ class Segment:
     def __init__(self, bus: Bus, devices: Sequence[SimulatedDevice], stuffing: Stuffing) -> None:
         self._name = bus.name
         self._devices = tuple(devices)
-        self._wire = Wire(bus.bitrate, stuffing, self._deliver)
+        self._wire = Wire(bus.bitrate, stuffing, self._deliver, data_bitrate=bus.data_bitrate)
         self._frames: list[CanFrame] = []  # in order of their stamps
         self._delayed: deque[tuple[int, CanFrame]] = deque()  # of the host, on their way to the bus
         self.delay_ns = 0  # of every frame between host and bus
@@ -145,7 +145,7 @@ class Segment:
             stamp_ns = end_ns + self.delay_ns
             if self._frames:
                 stamp_ns = max(stamp_ns, _stamp(self._frames[-1]))
-            self._frames.append(CanFrame(self._name, frame.id, frame.data, frame.extended, frame.remote, stamp_ns))
+            self._frames.append(frame._replace(bus=self._name, received_ns=stamp_ns))
         return self._to_devices(frame, end_ns) if frame is self._foreign else ()
 
     def _to_devices(self, frame: CanFrame, end_ns: int) -> list[Emission]:

@@ -27,7 +27,8 @@ HEARD: dict[str, Callable[[int], Sequence[tuple[int, int]]]] = {
 class MotorsInterface(can.BusABC):
     """SocketCAN, opened when it can be and reopened after the interface was deleted; raises CanError in between."""
 
-    def __init__(self, channel: str, motors: Iterable[Motor]) -> None:
+    def __init__(self, channel: str, motors: Iterable[Motor], *, fd: bool = False) -> None:
+        self._fd = fd
         self._filters_wanted = [wanted for motor in motors for wanted in _heard(motor)]
         self._channel = channel
         self._bus: can.BusABC | None = None
@@ -65,7 +66,9 @@ class MotorsInterface(can.BusABC):
         if now_ns >= self._retry_ns:
             self._retry_ns = now_ns + REOPEN_NS
             if interface_exists(self._channel):  # python-can would leak its socket
-                self._bus = can.Bus(interface="socketcan", channel=self._channel, can_filters=self._filters_wanted)
+                self._bus = can.Bus(
+                    interface="socketcan", channel=self._channel, can_filters=self._filters_wanted, fd=self._fd
+                )
                 return self._bus
         raise can.CanOperationError(f"{self._channel} is not there")
 

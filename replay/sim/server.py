@@ -37,6 +37,7 @@ class SimulationServer:
         self.robot = SimulatedRobot(config)
         self.dropped = 0  # frames that could not be sent (queue full, interface down)
         self._buses = dict(buses)
+        self._fd = {bus.name for bus in config.bus if bus.fd}
         self._failing: set[str] = set()
         self._tick_ns = tick_ns
         self._world_ns = 0
@@ -70,7 +71,7 @@ class SimulationServer:
         devices = [device for device in self.robot.devices.values() if device.setup.bus == name]
         replies: list[Emission] = []
         while (message := self._received(name, bus)) is not None:
-            if message.is_error_frame or flaw(message) is not None:
+            if message.is_error_frame or flaw(message, fd=name in self._fd) is not None:
                 continue
             frame = frame_of(message, bus=name, received_ns=None)
             for device in devices:

@@ -2,6 +2,7 @@
 
 Frame lengths incl. interframe space after Davis et al., "Controller Area Network (CAN) schedulability analysis"
 (2007); the typical stuffing is the mean over random payloads (115 of 135 bits for a full standard frame).
+Those of CAN FD are counted field by field from the frame format of ISO 11898-1:2015.
 """
 
 from collections import deque
@@ -44,15 +45,36 @@ def frame_bits(*, extended: bool, length: int, stuffing: Stuffing) -> int:
     return fixed + payload + (worst if stuffing is Stuffing.WORST else (stuffable + payload) // 24)
 
 
+def fd_frame_bits(*, extended: bool, length: int, stuffing: Stuffing) -> tuple[int, int]:
+    """Bits of a CAN FD frame at the rate of arbitration, and those that the bit rate switch makes faster."""
+    header = 36 if extended else 17  # start of frame to bit rate switch
+    trailer = 13  # CRC delimiter, acknowledgement and its delimiter, end of frame, interframe space
+    counted = 1 + 4 + 8 * length  # error state indicator, length code, data
+    check = 4 + 21 + 7 if length > 16 else 4 + 17 + 6  # stuff count, CRC, fixed stuff bits
+    if stuffing is Stuffing.WORST:
+        first, all_stuff = (header - 1) // 4, (header + counted - 1) // 4
+    else:
+        first, all_stuff = header // 24, (header + counted) // 24
+    return header + first + trailer, counted + all_stuff - first + check
+
+
 class Wire:
     """Pending frames and the one on the wire. The host's frames go out in order, as from a socket's queue."""
 
-    def __init__(self, bitrate: int, stuffing: Stuffing, deliver: Callable[[Arrival], Sequence[Emission]]) -> None:
+    def __init__(
+        self,
+        bitrate: int,
+        stuffing: Stuffing,
+        deliver: Callable[[Arrival], Sequence[Emission]],
+        *,
+        data_bitrate: int | None = None,
+    ) -> None:
         self._durations = {
             (extended, length): frame_bits(extended=extended, length=length, stuffing=stuffing) * SECOND_NS // bitrate
             for extended in (False, True)
             for length in range(9)
         }
+        self._bitrate, self._stuffing, self._data_bitrate = bitrate, stuffing, data_bitrate or bitrate
         self._deliver = deliver
         self._upcoming: list[tuple[int, int, int, CanFrame]] = []  # heap by instant of readiness
         self._contenders: list[int] = []  # heap of priorities, one entry per frame in `_mailboxes`
@@ -104,11 +126,18 @@ class Wire:
             frame, sender = self._host.popleft().frame, Sender.HOST
         else:
             frame, sender = self._mailboxes[heappop(contenders)].popleft(), Sender.DEVICE
-        duration_ns = self._durations[frame.extended, 0 if frame.remote else len(frame.data)]
+        duration_ns = self._duration_ns(frame)
         self.busy_ns += duration_ns
         self._free_ns = start_ns + duration_ns
         self._in_flight = Arrival(self._free_ns, frame, sender)
         return True
+
+    def _duration_ns(self, frame: CanFrame) -> int:
+        if not frame.fd:
+            return self._durations[frame.extended, 0 if frame.remote else len(frame.data)]
+        nominal, fast = fd_frame_bits(extended=frame.extended, length=len(frame.data), stuffing=self._stuffing)
+        rate = self._data_bitrate if frame.bit_rate_switch else self._bitrate
+        return nominal * SECOND_NS // self._bitrate + fast * SECOND_NS // rate
 
     def _contend(self, priority: int, frame: CanFrame) -> None:
         mailbox = self._mailboxes.get(priority)

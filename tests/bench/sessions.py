@@ -114,6 +114,8 @@ def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> Path:
                     is_remote_frame=frame.remote,
                     channel=0 if path.suffix == ".blf" else frame.bus,
                     is_rx=frame.received_ns is not None,
+                    is_fd=frame.fd,
+                    bitrate_switch=frame.bit_rate_switch,
                 )
             )
     return path

@@ -261,6 +261,7 @@ def test_foreign_short_remote_extended_and_sent_frames_are_ignored(driver: str, 
             frame._replace(bus="can1"),
             frame._replace(extended=True),
             frame._replace(remote=True, data=b""),
+            frame._replace(fd=not frame.fd),
             frame._replace(received_ns=None),
             frame._replace(id=frame.id ^ 0x600),
             # One byte may be padding (the last of an ODrive 0.6 heartbeat is), two never.

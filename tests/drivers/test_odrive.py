@@ -5,7 +5,7 @@ from struct import unpack
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, Capabilities, CommandKind, MotorCommand, MotorState
+from drivers.contract import BRAKE, COAST, Capabilities, CommandKind, MotorCommand, MotorState, Traffic
 from drivers.odrive.group import OdriveDriver
 from tests.drivers.odrive_stand import (
     ARM,
@@ -453,9 +453,9 @@ def test_what_it_sends_and_hears() -> None:
     assert driver.receive_filters() == ((0x060, 0x7E0, False),)
     assert driver.ids() == (("odrive node 3 of motor m", 0x060, 0x7E0, False),)
     assert driver.traffic(loop_rate_hz=200.0) == (
-        ("m setpoint", False, 8, 200.0),
-        ("m Get_Encoder_Estimates", False, 8, 250.0),
-        ("m Heartbeat", False, 8, 10.0),
+        Traffic("m setpoint", False, 8, 200.0),
+        Traffic("m Get_Encoder_Estimates", False, 8, 250.0),
+        Traffic("m Heartbeat", False, 8, 10.0),
     )
     assert [can_text(frame) for frame in driver.coast_frames()] == [IDLE, ZERO]
     assert [can_text(frame) for frame in driver.stop_frames(now_ns=0)] == [ZERO]

@@ -3,8 +3,9 @@
 import pytest
 
 from gateway.config import Source
+from gateway.control.drive_law import Features
 from gateway.core.arbiter import Arbiter
-from gateway.types import ZERO_TWIST, Twist, TwistCommand, TwistFrame
+from gateway.types import ZERO_TWIST, Refusal, RefusalCode, Region, Twist, TwistCommand, TwistFrame
 
 MS = 1_000_000
 MOTION = Twist(0.1, 0.0, 0.0)
@@ -114,3 +115,58 @@ def test_every_source_is_told_its_reason_in_order_of_priority() -> None:
     assert first.reason == "silent for longer than its timeout of 0.05 s"
     assert second.reason == "has to send zero first"
     assert (first.age_s, second.age_s) == pytest.approx((0.08, 0.09))
+
+
+# what not every chassis can do
+
+EVERYTHING = Features(width=True, regions=frozenset(Region))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"width_rate": 0.1}, "width_rate = 0.1: must be left out: the width of this chassis is fixed"),
+        ({"width_rate": 0.0}, "width_rate = 0: must be left out: the width of this chassis is fixed"),
+        ({"region": Region.PUSH}, "region = 'push': must be 'any' on this chassis"),
+        ({"region": Region.PULL}, "region = 'pull': must be 'any' on this chassis"),
+        ({"path_rate": 1.0}, None),
+    ],
+)
+def test_what_the_chassis_cannot_do_is_refused_and_neither_drives_nor_admits(
+    change: dict[str, object], text: str | None
+) -> None:
+    asked = command(10)._replace(**change)  # type: ignore[arg-type]
+    plain, able = arbiter(), Arbiter([Source(name="low", priority=1, timeout=0.1)], EVERYTHING)
+    for one in (plain, able):
+        one.receive(command(5))
+    refusal = plain.receive(asked)
+    assert refusal == (None if text is None else Refusal("low", RefusalCode.UNSUPPORTED, text, 10 * MS))
+    assert winner(plain, 106) == (None if text else "low"), "only the zero was taken, which is silent by now"
+    assert able.receive(asked) is None
+    assert winner(able, 106) == "low"
+
+
+def test_what_some_regions_are_for_is_said_in_words() -> None:
+    some = Features(regions=frozenset({Region.ANY, Region.PUSH}))
+    assert some.objection(command(0)._replace(region=Region.PUSH)) is None
+    refused = some.objection(command(0)._replace(region=Region.PULL))
+    assert refused == "region = 'pull': must be 'any' or 'push' on this chassis"
+
+
+def test_a_refused_command_ages_the_one_before() -> None:
+    one = arbiter()
+    one.receive(command(0))
+    one.receive(command(10, twist=MOTION))
+    one.receive(command(90, twist=MOTION)._replace(region=Region.PULL))
+    assert winner(one, 110) == "low"
+    assert winner(one, 111) is None
+
+
+def test_a_changing_width_is_motion_and_no_zero() -> None:
+    able = Arbiter([Source(name="low", priority=1, timeout=0.1)], EVERYTHING)
+    able.receive(command(0)._replace(width_rate=0.1))
+    assert winner(able, 0) is None
+    assert able.moving(0) is not None
+    able.receive(command(1)._replace(width_rate=0.0))
+    assert winner(able, 1) == "low"
+    assert able.moving(1) is None

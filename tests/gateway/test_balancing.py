@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.contract import CommandKind, DriverFault, MotorState
-from gateway.control.drive_law import JointCommand, Measured, Motion
+from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
 from gateway.types import ZERO_TWIST, Mode, Rates, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
@@ -22,6 +22,10 @@ class Balance:
     def __init__(self, size: int) -> None:
         self.upright = True
         self._size = size
+
+    @property
+    def features(self) -> Features:
+        return TWISTS
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)

@@ -372,6 +372,50 @@ def test_what_no_classic_bus_carries_is_dropped_and_counted(bench: Bench, wrong:
     assert len(bench.opened) == 1
 
 
+def fd_bench(monkeypatch: pytest.MonkeyPatch, channel: str) -> tuple[Bench, list[dict[str, object]]]:
+    config = on_interface("socketcan", channel)
+    bus = config.bus[0].model_copy(update={"fd": True, "data_bitrate": 5_000_000})
+    bench = Bench(config.model_copy(update={"bus": [bus]}), monkeypatch)
+    asked: list[dict[str, object]] = []
+
+    def opening(**settings: object) -> ScriptedBus:
+        asked.append(settings)
+        return bench._open(**settings)
+
+    monkeypatch.setattr(can, "Bus", opening)
+    return bench, asked
+
+
+def test_an_fd_bus_is_opened_as_one_and_a_classic_one_is_not(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    bench, asked = fd_bench(monkeypatch, request.node.name)
+    bench.cycle()
+    assert [(one.get("fd"), one.get("data_bitrate")) for one in asked] == [(True, 5_000_000)]
+    bench.edge.close()
+
+
+def test_an_fd_bus_carries_both_kinds(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    bench, _ = fd_bench(monkeypatch, request.node.name)
+    bench.cycle()
+    long = can.Message(arbitration_id=1, data=bytes(64), is_extended_id=True, is_fd=True, bitrate_switch=True)
+    bench.bus.inbox += [long, heartbeat()]
+    frames, _ = bench.cycle()
+    assert [(len(frame.data), frame.fd, frame.bit_rate_switch) for frame in frames] == [
+        (64, True, True),
+        (8, False, False),
+    ]
+    wrong = {
+        "no such length": can.Message(arbitration_id=1, data=bytes(9), is_fd=True),
+        "remote": can.Message(arbitration_id=1, is_fd=True, is_remote_frame=True),
+        "classic": can.Message(arbitration_id=1, data=bytes(12)),
+    }
+    for message in wrong.values():
+        bench.bus.inbox.append(message)
+        assert bench.cycle() == ([], [BusEventKind.RX_MALFORMED])
+    bench.edge.close()
+
+
 @pytest.mark.parametrize("stamp", [0.0, 12.5, -3.0, 5e9, 1e300, float("nan"), float("inf"), None])
 def test_stamps_of_other_adapters_are_not_trusted(slow: Bench, stamp: float) -> None:
     message = heartbeat()

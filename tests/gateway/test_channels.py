@@ -2,12 +2,12 @@
 
 import pytest
 
-from gateway.core.channels import CHANNELS, POSITIONS, channels_of, entities, layout_of, plots
+from gateway.core.channels import CHANNELS, UNPLOTTED, channels_of, entities, layout_of, plots
 from gateway.types import Trace
 from tests.world import World
 
-MOBY = World("moby").config.robot
-ALL = (*channels_of(MOBY), POSITIONS)
+MOBY = World("moby").config
+ALL = (*CHANNELS, *channels_of(MOBY), *UNPLOTTED)
 
 
 def trace(name: str) -> Trace:
@@ -19,7 +19,7 @@ def trace(name: str) -> Trace:
 @pytest.mark.parametrize("name", ["moby", "omni4"])
 def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
     motors = World(name).config.robot.motor_names()
-    layout, seen = layout_of(World(name).config.robot), trace(name)
+    layout, seen = layout_of(World(name).config), trace(name)
     assert len(set(layout.labels)) == len(layout.labels) == len(layout.row(seen))
     named = layout.named(seen)
     assert named["x"] == seen.pose.x
@@ -30,10 +30,10 @@ def test_every_label_is_there_once_and_has_a_number(name: str) -> None:
 
 def test_the_residual_is_told_of_every_wheel_that_has_one() -> None:
     motors = World("omni4").config.robot.motor_names()
-    named = layout_of(World("omni4").config.robot).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
+    named = layout_of(World("omni4").config).named(trace("omni4")._replace(residuals=(0.1, None, -0.1, 0.2)))
     assert [named[f"residual.{motor}"] for motor in motors] == [0.1, None, -0.1, 0.2]
     named = layout_of(MOBY).named(trace("moby"))
-    assert [named[f"residual.{motor}"] for motor in MOBY.motor_names()] == [None] * 3
+    assert [named[f"residual.{motor}"] for motor in MOBY.robot.motor_names()] == [None] * 3
 
 
 def test_what_cannot_be_measured_is_unknown_and_takes_its_places() -> None:
@@ -64,4 +64,5 @@ def test_plots_show_entities_that_exist_and_a_unit_is_told() -> None:
     assert {entity for shown in plots(channels).values() for entity in shown} <= set(entities(channels))
     assert next(iter(plots(channels))) == "Wheel speeds [rad/s]"
     assert set(entities(channels)) - set(entities(CHANNELS)) == {"chassis/angles", "chassis/flip"}
+    assert not {"heading", "attitude", "range"} & set(entities(channels))  # it has no such sensors
     assert all(channel.unit and f"[{channel.unit}]" in (channel.plot or f"[{channel.unit}]") for channel in channels)

@@ -13,12 +13,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import Capabilities
+from drivers import DRIVERS
+from drivers.contract import Capabilities, Traffic
 from drivers.odrive.group import OdriveDriver
-from gateway.config import ConfigError, load, parse
+from gateway.config import Bus, ConfigError, load, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
-from gateway.core.examination import examine, frame_bits
+from gateway.core.examination import examine, frame_bits, frame_time
 from tests.world import NAMES, ROBOTS, robot_text
 
 WRONG = [
@@ -33,6 +34,12 @@ WRONG = [
     ("moby", 'variant = "0.6"', 'variant = "0.7"', ["left", "0.7", "0.5", "0.6"]),
     ("moby", "id = 1\n", "id = 63\n", ["motor left: id = 63", "0 to 62"]),
     ("moby", "id = 2\n", "id = 1\n", ["right", "1"]),
+    (
+        "moby",
+        "bitrate = 1_000_000",
+        "bitrate = 1_000_000\ndata_bitrate = 2_000_000",
+        ["bus[0]", "data_bitrate = 2000000: needs fd = true"],
+    ),
     ("moby", 'bus = "can0"', 'bus = "can7"', ["can7", "no such [[bus]]"]),
     ("moby", "axle_offset = 0.25", "axle_offset = 0.0", ["axle_offset", "0.001"]),
     ("moby", "direction = -1", "direction = 0", ["direction", "1"]),
@@ -341,6 +348,29 @@ def test_numbers_of_check_by_hand() -> None:
     omni = examine(parse(robot_text("omni4"), "omni4"), "omni4")
     assert omni.buses[0].load == pytest.approx(4250 * 135 / 1e6)
     assert (frame_bits(8, extended=False), frame_bits(8, extended=True)) == (135, 160)
+
+
+def test_the_time_of_an_fd_frame_has_two_rates() -> None:
+    """64 bytes, standard id: 34 bits before and behind, 678 between the switches; see test_sim_wire."""
+    bus = Bus(name="can0", interface="virtual", channel="a", bitrate=500_000, fd=True, data_bitrate=4_000_000)
+    plain = bus.model_copy(update={"data_bitrate": None})
+    fast = Traffic("x", extended=False, length=64, rate_hz=1.0, fd=True, bit_rate_switch=True)
+    assert frame_time(fast, bus) == pytest.approx(34 / 5e5 + 678 / 4e6)
+    assert frame_time(fast._replace(bit_rate_switch=False), bus) == pytest.approx(712 / 5e5)
+    assert frame_time(fast, plain) == pytest.approx(712 / 5e5)
+    assert frame_time(Traffic("x", False, 8, 1.0), bus) == pytest.approx(135 / 5e5)
+
+
+def test_a_driver_of_fd_frames_needs_an_fd_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Talkative(OdriveDriver):
+        def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
+            return (Traffic("m setpoint", False, 64, loop_rate_hz, fd=True, bit_rate_switch=True),)
+
+    monkeypatch.setitem(DRIVERS, "odrive", Talkative)
+    text = robot_text("moby")
+    with pytest.raises(ConfigError, match="bus can0: fd = false: m setpoint is a CAN FD frame"):
+        build(parse(text, "r"))
+    build(parse(text.replace("bitrate = 1_000_000", "bitrate = 1_000_000\nfd = true\ndata_bitrate = 5_000_000"), "r"))
 
 
 def test_bus_load_is_warned_about_and_refused() -> None:

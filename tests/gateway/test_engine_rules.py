@@ -21,6 +21,7 @@ from gateway.types import (
     Inputs,
     Mode,
     Outputs,
+    Region,
     Request,
     RequestKind,
     Twist,
@@ -108,6 +109,7 @@ class Stand:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("gateway.core.engine.build", self._build)
             self.engine = Engine(config)
+        self.width_rate: float | None = None  # that every command asks for
         self.now_ns = SECOND
         self.out = self.cycle(ms=0.0)
 
@@ -129,9 +131,10 @@ class Stand:
     ) -> Outputs:
         self.now_ns += round(ms * MS)
         self.motors.turn(ms * 1e-3)
-        commands = (
-            () if twist is None else (TwistCommand(source, twist, frame, None, self.now_ns, source, stamped=True),)
-        )
+        commands: tuple[TwistCommand, ...] = ()
+        if twist is not None:
+            command = TwistCommand(source, twist, frame, None, self.now_ns, source, stamped=True)
+            commands = (command._replace(width_rate=self.width_rate),)
         asked = tuple(Request(kind, number, self.now_ns) for number, kind in enumerate(requests, 1))
         events = () if bus is None else (BusEvent("can0", bus, 1, "off"),)
         self.out = self.engine.step(Inputs(1, self.now_ns, commands=commands, requests=asked, bus_events=events))
@@ -891,3 +894,17 @@ def test_a_reset_on_the_way_to_rest_gives_no_motor_back() -> None:
         assert stand.is_released()
         stand.cycle()
     assert stand.is_in(IDLE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_region_that_the_chassis_has_not_is_refused_in_words_and_moves_nothing(name: str) -> None:
+    """No drive law of today honours one."""
+    stand = Stand(name)
+    stand.drive()
+    zero = TwistCommand("teleop", ZERO_TWIST, TwistFrame.BODY, None, stand.now_ns, "teleop", stamped=True)
+    asked = zero._replace(twist=FORWARD, region=Region.PULL)
+    out = stand.engine.step(Inputs(1, stand.now_ns + 4 * MS, commands=(asked,)))
+    (event,) = [event for event in out.events if event.code == "refused_unsupported"]
+    assert event.text == "teleop: region = 'pull': must be 'any' on this chassis"
+    assert out.status is not None
+    assert out.status.refused == 1

@@ -19,7 +19,6 @@ from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawPa
 from gateway.config import ConfigError, RobotConfig, parse, parse_as
 from gateway.control.drive_law import Measured, SpeedLaw
 from gateway.control.limits import TwistLimiter, excess
-from gateway.core import targets
 from gateway.core.channels import layout_of
 from gateway.core.engine import Engine
 from gateway.core.examination import examine
@@ -246,11 +245,9 @@ def test_desaturation_keeps_the_direction_of_all_axes(share: Rates) -> None:
 
 
 class Robot:
-    """The core with that chassis, and the width rate that every command asks for."""
+    """The core with that chassis."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.width_rate: float | None = None
-        monkeypatch.setitem(targets.MORE, "width_rate", lambda _: self.width_rate)
+    def __init__(self) -> None:
         self.stand = Stand("four_axes", config=CONFIG)
 
     def start(self) -> None:
@@ -260,21 +257,21 @@ class Robot:
 
 
 @pytest.fixture
-def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
-    return Robot(monkeypatch)
+def robot() -> Robot:
+    return Robot()
 
 
 @pytest.mark.pure_python
 def test_it_drives_all_four_axes_and_comes_to_rest(robot: Robot) -> None:
     robot.start()
-    robot.width_rate = 0.15
+    robot.stand.width_rate = 0.15
     out = robot.stand.run(2.0, FORWARD)
     (width,) = out.trace.more
     assert (width.target, width.setpoint) == pytest.approx((0.15, 0.15))
     assert width.measured == pytest.approx(0.15, abs=1e-6)
     assert out.trace.setpoint == pytest.approx(FORWARD)
     assert robot.stand.setpoints == pytest.approx(CHASSIS.wheel_speeds((*FORWARD, 0.15)))
-    named = layout_of(CONFIG.robot).named(out.trace)
+    named = layout_of(CONFIG).named(out.trace)
     assert [named[f"width_rate_{what}"] for what in ("wanted", "limited", "measured")] == pytest.approx([0.15] * 3)
     robot.stand.run(0.5)
     assert robot.stand.is_in(Mode.STOPPING)
@@ -286,10 +283,10 @@ def test_it_drives_all_four_axes_and_comes_to_rest(robot: Robot) -> None:
 
 @pytest.mark.pure_python
 def test_a_width_rate_is_no_zero(robot: Robot) -> None:
-    robot.width_rate = 0.1
+    robot.stand.width_rate = 0.1
     robot.stand.run(1.0, ZERO_TWIST)
     assert robot.stand.is_in(Mode.IDLE)
-    robot.width_rate = None
+    robot.stand.width_rate = None
     robot.stand.cycle(ZERO_TWIST)
     assert robot.stand.is_in(Mode.STARTING)
 
@@ -297,7 +294,7 @@ def test_a_width_rate_is_no_zero(robot: Robot) -> None:
 @pytest.mark.pure_python
 def test_an_emergency_stop_stops_all_four(robot: Robot) -> None:
     robot.start()
-    robot.width_rate = 0.15
+    robot.stand.width_rate = 0.15
     robot.stand.run(1.0, ZERO_TWIST)
     assert robot.stand.out.trace.more[0].setpoint == pytest.approx(0.15)
     out = robot.stand.cycle(ZERO_TWIST, RequestKind.ESTOP)
@@ -309,7 +306,7 @@ def test_an_emergency_stop_stops_all_four(robot: Robot) -> None:
 def test_what_falls_behind_takes_all_four_axes_back(robot: Robot) -> None:
     """Braking while the wheels stand: setpoint falls back to the measured motion, in every axis alike."""
     robot.start()
-    robot.width_rate = 0.2
+    robot.stand.width_rate = 0.2
     robot.stand.run(2.0, ZERO_TWIST)
     robot.stand.motors.measured = dict.fromkeys(range(4), 0.0)
     before = robot.stand.out.trace.more[0].setpoint

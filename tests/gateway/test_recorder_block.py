@@ -11,6 +11,7 @@ import pytest
 from drivers.contract import CanFrame
 from gateway.recording import segment
 from gateway.recording.block import DAMAGED, Block, packed, unpacked
+from gateway.recording.cells import CODINGS
 from gateway.recording.packets import Gap, Record
 from gateway.recording.schema import FRAMES_IN, TABLES, Kind
 from gateway.types import Inputs, Twist
@@ -56,6 +57,13 @@ def test_no_flipped_bit_passes_as_what_was_written() -> None:
             assert repr(cycle_values(after, place)) == values[place]
     assert read > 300
     assert changed > 0.9 * read
+
+
+def test_lengths_that_add_up_only_because_they_wrap_are_refused() -> None:
+    """Four of 2^62 are 2^64, which is nothing in 64 bits."""
+    lengths = CODINGS[Kind.INT].pack([2**62] * 4).parts()
+    with pytest.raises(ValueError, match="do not fit"):
+        CODINGS[Kind.FLOATS].unpack([*lengths, b""], 4)
 
 
 def test_a_change_of_one_frame_spoils_one_cycle() -> None:
@@ -110,6 +118,19 @@ def test_columns_of_a_newer_and_of_an_older_recorder() -> None:
     named = older._replace(columns={"data": Kind.ID})
     with pytest.raises(ValueError, match=r"frames_in\.data is"):
         block.tables["frames_in"].values(named, 0, 1)
+
+
+def test_flags_that_no_frame_has_take_no_place() -> None:
+    """Classic traffic is as small as it was before there were flags of CAN FD."""
+    records = list(drive(50))
+    plain: Plain = msgspec.msgpack.decode(packed(records))
+    assert set(plain["frames_in"]) == {"bus", "id", "data", "received_ns"}
+    assert set(plain["frames_out"]) == {"bus", "id", "data"}
+    (frame, *others) = records[7].inputs.frames
+    modern = (frame._replace(fd=True, bit_rate_switch=True, data=bytes(64)), *others)
+    records[7] = Record(records[7].inputs._replace(frames=modern), records[7].outputs, records[7].timing)
+    assert set(msgspec.msgpack.decode(packed(records))["frames_in"]) >= {"fd", "bit_rate_switch"}
+    assert unpacked(packed(records)).tables["frames_in"].values(FRAMES_IN, 42, 48) == modern
 
 
 @pytest.mark.parametrize(

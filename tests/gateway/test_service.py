@@ -14,7 +14,7 @@ from gateway.core.snapshot import State
 from gateway.edges.estop_latch import Kept
 from gateway.edges.signals import EndRequest
 from gateway.edges.systemd import Notifier
-from gateway.service import EXIT_CORE_BUG, EXIT_LINK_LOST, Service
+from gateway.service import EXIT_CORE_BUG, EXIT_LINK_LOST, Drained, Service
 from gateway.types import (
     ZERO_TWIST,
     BusEvent,
@@ -24,7 +24,6 @@ from gateway.types import (
     Mode,
     Odometry,
     Outputs,
-    Refusal,
     Reply,
     Request,
     RequestKind,
@@ -73,14 +72,14 @@ class FakeLink:
         self.requests: list[Request] = []
         self.broken = ""
 
-    def drain(self, now_ns: int) -> tuple[Sequence[TwistCommand], Sequence[Refusal], Sequence[Request]]:
+    def drain(self, now_ns: int) -> Drained:
         assert now_ns > 0
         if self.broken == "drain":
             raise RuntimeError("a thread of the link ended")
         requests, self.requests = self.requests, []
         if self.twist is None:
-            return (), (), requests
-        return [TwistCommand("teleop", self.twist, TwistFrame.BODY, None, now_ns)], (), requests
+            return (), (), requests, ()
+        return [TwistCommand("teleop", self.twist, TwistFrame.BODY, None, now_ns)], (), requests, ()
 
     def reply(self, reply: Reply) -> None:
         if self.broken == "reply":

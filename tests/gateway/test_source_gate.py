@@ -158,18 +158,18 @@ def test_a_command_without_a_stamp_between_others_changes_nothing() -> None:
 def test_two_commands_of_one_moment_are_of_one_clock() -> None:
     gate = SourceGate(TIMEOUT_NS)
     _stamped(gate, 0, 0)
-    assert _stamped(gate, 0, MS)[5:] == ("joy", True)
+    assert _stamped(gate, 0, MS)[5:7] == ("joy", True)
 
 
 def test_a_clock_is_trusted_as_long_as_it_drifts_by_no_more_than_the_timeout() -> None:
     gate = SourceGate(TIMEOUT_NS)
     _stamped(gate, 0, 0)
-    assert _stamped(gate, 400 * SECOND, 0)[5:] == ("joy", True)  # 500 ppm of 400 s are 0.2 s
+    assert _stamped(gate, 400 * SECOND, 0)[5:7] == ("joy", True)  # 500 ppm of 400 s are 0.2 s
 
 
 def test_a_sender_without_a_name_begins_like_any_other() -> None:
     gate = SourceGate(TIMEOUT_NS)
-    assert _stamped(gate, SECOND, 0, sender=None)[5:] == (None, False)
+    assert _stamped(gate, SECOND, 0, sender=None)[5:7] == (None, False)
     gate = SourceGate(TIMEOUT_NS)
     for received_ns, sequence in ((1, None), (2, 0), (3, 1)):
         assert isinstance(gate.admit(_command(received_ns, sequence=sequence, sender=None), None), TwistCommand)
@@ -212,7 +212,7 @@ def test_a_silence_in_which_clocks_may_drift_too_far_begins_anew() -> None:
     outcome = _stamped(gate, 21 * MS + silence_ns, 0)
     assert isinstance(outcome, TwistCommand)
     assert (outcome.sender, outcome.stamped) == ("joy#1", False)  # to the core another sender, whose zero is wanted
-    assert _stamped(gate, 41 * MS + silence_ns, 0)[5:] == ("joy#1", True)
+    assert _stamped(gate, 41 * MS + silence_ns, 0)[5:7] == ("joy#1", True)
 
 
 def test_a_stamp_that_goes_back_is_out_of_order() -> None:

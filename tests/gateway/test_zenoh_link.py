@@ -21,7 +21,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from gateway.client import Client
-from gateway.config import RobotConfig, parse
+from gateway.config import RobotConfig, Sensor, parse
 from gateway.edges.mailbox import MAX_QUESTIONS
 from gateway.edges.messages import (
     AbilityMessage,
@@ -49,6 +49,8 @@ from gateway.types import (
     Reply,
     Request,
     RequestKind,
+    SensorKind,
+    SensorSample,
     Twist,
     TwistCommand,
     TwistFrame,
@@ -81,13 +83,15 @@ class Loop:
     commands: list[TwistCommand] = field(default_factory=list)
     refusals: list[Refusal] = field(default_factory=list)
     requests: list[Request] = field(default_factory=list)
+    samples: list[SensorSample] = field(default_factory=list)
 
     def cycle(self) -> None:
         """One drain."""
-        commands, refusals, requests = self.link.drain(time.monotonic_ns())
+        commands, refusals, requests, samples = self.link.drain(time.monotonic_ns())
         self.commands += commands
         self.refusals += refusals
         self.requests += requests
+        self.samples += samples
 
     def until(self, probe: Callable[[], _T]) -> _T:
         """Cycles until the probe is true."""
@@ -345,6 +349,95 @@ def test_an_old_sequence_is_refused(loop: Loop, client: Client) -> None:
     assert len(loop.commands) == 2
 
 
+@pytest.fixture
+def sensing(endpoint: str) -> Iterator[Loop]:
+    robot = _robot(endpoint)
+    sensors = [
+        Sensor(name="imu", kind=SensorKind.HEADING, timeout=0.5),
+        Sensor(name="nose", kind=SensorKind.RANGE, timeout=0.5),
+    ]
+    with ZenohLink(robot.model_copy(update={"sensor": sensors}), "") as opened:
+        yield Loop(opened)
+
+
+def test_samples_arrive_the_newest_of_each_sensor(sensing: Loop, endpoint: str) -> None:
+    with Client("moby", connect=[endpoint]) as client:
+        assert client.wait_alive(TIMEOUT_S)
+        before_ns = time.monotonic_ns()
+        for heading in (1.0, 2.0):
+            client.sense("imu", heading=np.float32(heading))
+        client.sense("nose", range=0.5)
+        slots = sensing.link._mailbox.samples
+        eventually(lambda: slots["nose"] and slots["imu"] and slots["imu"][0].values == (2.0,))
+        sensing.cycle()
+    assert [(one.source, one.values) for one in sensing.samples] == [("imu", (2.0,)), ("nose", (0.5,))]
+    assert all(before_ns < one.received_ns <= time.monotonic_ns() for one in sensing.samples)
+    assert not sensing.refusals
+    assert not sensing.commands
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "code", "words"),
+    [
+        ("moby/sensor/imu", b'{"heading":1e7}', RefusalCode.OUT_OF_RANGE, "heading = 10000000.0: must be a number"),
+        ("moby/sensor/imu", b'{"heading":NaN}', RefusalCode.NOT_FINITE, "heading = nan: must be a number"),
+        ("moby/sensor/imu", b'{"range":1}', RefusalCode.MALFORMED, "heading is missing: must be a number from"),
+        ("moby/sensor/nose", b'{"range":-0.1}', RefusalCode.OUT_OF_RANGE, "range = -0.1: must be a number from 0 to"),
+        ("moby/sensor/imu", b" " * 2000, RefusalCode.TOO_LONG, "must be at most 1024 bytes"),
+        ("moby/sensor/imu", None, RefusalCode.NOT_A_PUT, "must be a put"),
+        ("moby/sensor/tail", b'{"range":1}', RefusalCode.UNKNOWN_SENSOR, "the sensors are imu, nose"),
+        ("moby/sensor/*", b'{"heading":1}', RefusalCode.KEY_NOT_EXACT, "without wildcards"),
+        ("moby/**", b'{"heading":1}', RefusalCode.KEY_NOT_EXACT, "without wildcards"),
+    ],
+)
+def test_a_sample_that_is_none_is_refused_once(
+    sensing: Loop, endpoint: str, *, key: str, payload: bytes | None, code: RefusalCode, words: str
+) -> None:
+    with open_zenoh(listen=[], connect=[endpoint], max_message_size=1_000_000) as stranger:
+        eventually(lambda: list(stranger.liveliness().get("moby/alive", timeout=0.1)))
+        stranger.delete(key) if payload is None else stranger.put(key, payload)
+        sensing.until(lambda: sensing.refusals)
+        stranger.put("moby/sensor/nose", b'{"range":1}')
+        sensing.until(lambda: [one for one in sensing.samples if one.values == (1.0,)])
+    assert [one.code for one in sensing.refusals] == [code]
+    assert words in sensing.refusals[0].text
+    assert [one.source for one in sensing.samples] == ["nose"]
+
+
+@pytest.mark.parametrize(
+    ("payload", "code"),
+    [
+        (b'{"heading":0,"seq":6,"sender":"b"}', RefusalCode.SECOND_SENDER),
+        (b'{"heading":0,"seq":5,"sender":"a"}', RefusalCode.OLD_SEQUENCE),
+    ],
+)
+def test_a_sample_of_another_sender_or_of_before_is_refused(
+    sensing: Loop, endpoint: str, payload: bytes, code: RefusalCode
+) -> None:
+    with open_zenoh(listen=[], connect=[endpoint], max_message_size=1_000_000) as stranger:
+        eventually(lambda: list(stranger.liveliness().get("moby/alive", timeout=0.1)))
+        stranger.put("moby/sensor/imu", b'{"heading":0,"seq":5,"sender":"a"}')
+        sensing.until(lambda: sensing.samples)
+        stranger.put("moby/sensor/imu", payload)
+        sensing.until(lambda: sensing.refusals)
+    assert [one.code for one in sensing.refusals] == [code]
+
+
+def test_the_client_says_at_once_what_is_no_sample(client: Client) -> None:
+    for values, words in (
+        ({"heading": float("inf")}, "heading = inf: must be a number from -1e"),
+        ({"roll": 0.1}, "pitch is missing"),
+        ({"heading": 0.1, "range": 0.2}, "a sample is of one of: heading; roll, pitch"),
+        ({}, "nothing: a sample is of one of"),
+    ):
+        with pytest.raises(ValueError, match=words.replace(".", r"\.")):
+            client.sense("imu", **values)
+    with pytest.raises(TypeError, match="heading"):
+        client.sense("imu", heading=True)
+    with pytest.raises(LinkError):
+        client.sense("imu/../x", heading=1.0)
+
+
 def test_a_reset_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
     with ThreadPoolExecutor() as pool:
         for ok, reason in ((True, None), (False, "motor left has a fault")):
@@ -384,6 +477,35 @@ def test_a_wrong_reference_is_refused_at_once(
     assert not loop.requests
 
 
+def test_a_setting_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(client.set, "speed_override", np.float64(0.5))
+        loop.until(lambda: loop.requests)
+        (request,) = loop.requests
+        assert (request.kind, request.setting, request.value) == (RequestKind.SET, "speed_override", 0.5)
+        loop.link.reply(Reply(request.id, False, "too fast"))
+        assert asking.result() == ResetAnswer(False, "too fast")
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b'{"setting":"speed_override"}', "value is missing"),
+        (b'{"setting":"Speed","value":1}', "setting = 'Speed': must be the name of a setting"),
+        (b'{"setting":"speed_override","value":NaN}', "value = nan: must be a number"),
+        (b"", "must be a JSON object"),
+    ],
+)
+def test_a_wrong_setting_is_refused_at_once(loop: Loop, stranger: zenoh.Session, payload: bytes, words: str) -> None:
+    (reply,) = stranger.get("moby/cmd/set", payload=payload, timeout=TIMEOUT_S)
+    assert reply.ok is not None
+    answer = decode_reply(reply.ok.payload.to_bytes())
+    assert answer is not None
+    assert words in str(answer.reason)
+    loop.cycle()
+    assert not loop.requests
+
+
 def test_a_crowd_that_asks_is_answered_each(loop: Loop, stranger: zenoh.Session) -> None:
     """Those in flight by the loop, each with its own words; all others at once that there are too many."""
     answers = list[ResetAnswer | None]()
@@ -417,7 +539,7 @@ def test_after_the_crowd_there_is_room_again(loop: Loop, client: Client, strange
 def test_looking_around_asks_for_nothing(loop: Loop, stranger: zenoh.Session) -> None:
     replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
     answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
-    for rest in ("cmd/reset", "cmd/reference"):
+    for rest in ("cmd/reset", "cmd/reference", "cmd/set"):
         assert NOT_EXACT in answers[f"moby/{rest}"]
     loop.cycle()
     assert not loop.requests
@@ -462,7 +584,7 @@ def test_connections_that_say_nothing_keep_nobody_out(link: ZenohLink, endpoint:
         client = stack.enter_context(Client("moby", connect=[endpoint]))
         assert client.wait_alive(TIMEOUT_S / 2)
         assert {one.recv(1) for one in silent} == {b""}, "their places are free again"
-    assert link.drain(0) == ((), (), ())
+    assert link.drain(0) == ((), (), (), ())
 
 
 def test_status_and_robot_file_are_answered(link: ZenohLink, client: Client) -> None:
@@ -559,7 +681,7 @@ def test_the_token_comes_and_goes_and_the_client_finds_the_next_gateway(endpoint
 def test_a_port_in_use_is_named(link: ZenohLink, endpoint: str) -> None:
     with pytest.raises(LinkError, match=rf"listen = \['{endpoint}'\].*Address already in use"):
         ZenohLink(_robot(endpoint), "")
-    assert link.drain(0) == ((), (), ())
+    assert link.drain(0) == ((), (), (), ())
 
 
 @pytest.mark.parametrize(

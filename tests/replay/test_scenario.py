@@ -81,8 +81,10 @@ WRONG = {
     "seconds = -1": "seconds = -1",
     "seed = 'x'": "seed",
     "[[at]]\nt = 99\nsilence = 'teleop'": "at[0].t = 99.0: must be 0 to seconds = 5.0",
-    "[[at]]\nt = 1": "at[0]: must have exactly one of command, silence, request, fault, has none",
+    "[[at]]\nt = 1": "at[0]: must have exactly one of command, silence, request, set, fault, has none",
     "[[at]]\nt = 1\nsilence = 'teleop'\nrequest = 'estop'": "has silence and request",
+    "[[at]]\nt = 1\nset = { speed = 0.5 }": "at[0]: 'speed': must be one of speed_override",
+    "[[at]]\nt = 1\nset = { speed_override = 7 }": "at[0]: speed_override = 7: must be 0.05 to 1",
     "[[at]]\nt = 1\nrequest = 'dance'": "at[0].request = 'dance'",
     "[[at]]\nt = 1\nrequest = 'estop'\nangle = 1.0": "belongs to request = 'reference' only",
     "[[at]]\nt = 1\ncommand = { source = 'teleop', vx = 99, vy = 0, wz = 0 }": "at[0].command.vx = 99",
@@ -179,6 +181,13 @@ def test_another_sender_takes_a_source_over_and_has_to_send_zero_first() -> None
     seen = moments(scenario(at=at, seconds=2.4))
     assert {command.sender for moment in seen for command in moment.inputs.commands} == {"scenario", "stranger"}
     assert seen[-1].outputs.mode is Mode.STOPPING
+
+
+def test_a_setting_is_a_request_like_any_other() -> None:
+    seen = moments(scenario(at=[*DRIVE, {"t": 0.7, "set": {"speed_override": 0.5}}], seconds=1.0))
+    (request,) = [request for moment in seen for request in moment.inputs.requests]
+    assert (request.kind, request.setting, request.value) == (RequestKind.SET, "speed_override", 0.5)
+    assert [reply.ok for moment in seen for reply in moment.outputs.replies] == [True]
 
 
 def test_requests_reach_the_core_with_what_they_say() -> None:

@@ -36,9 +36,13 @@ from gateway.types import (
     Pose,
     Refusal,
     RefusalCode,
+    Region,
     Reply,
     Request,
     RequestKind,
+    SensorSample,
+    SensorStatus,
+    SettingStatus,
     SourceStatus,
     Status,
     Trace,
@@ -86,6 +90,8 @@ STATUS = Status(
     cycle=3,
     ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
     chassis={"region": "pull", "turn_radius": None},
+    sensors=(SensorStatus("imu", "heading", (1.5,), 0.01, 0),),
+    settings=(SettingStatus("speed_override", 0.5, "of limits.velocity", 0.05, 1.0),),
 )
 
 integers = st.integers(-(2**63), 2**63 - 1)
@@ -102,6 +108,8 @@ frames = st.builds(
     st.booleans(),
     st.booleans(),
     st.none() | integers,
+    st.booleans(),
+    st.booleans(),
 )
 inputs = st.builds(
     Inputs,
@@ -118,12 +126,29 @@ inputs = st.builds(
             integers,
             st.none() | texts,
             st.booleans(),
+            st.none() | numbers,
+            st.none() | numbers,
+            st.sampled_from(Region),
         ),
         max_size=2,
     ).map(tuple),
     refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
     requests=st.lists(
-        st.builds(Request, st.sampled_from(RequestKind), integers, integers, st.none() | texts, st.none() | numbers),
+        st.builds(
+            Request, st.sampled_from(RequestKind), *[integers] * 2, *[st.none() | texts, st.none() | numbers] * 2
+        ),
+        max_size=2,
+    ).map(tuple),
+    samples=st.lists(
+        st.builds(
+            SensorSample,
+            texts,
+            st.lists(st.none() | numbers, max_size=5).map(tuple),
+            st.none() | integers,
+            integers,
+            st.none() | texts,
+            st.booleans(),
+        ),
         max_size=2,
     ).map(tuple),
     bus_events=st.lists(st.builds(BusEvent, texts, st.sampled_from(BusEventKind), integers, texts), max_size=2).map(

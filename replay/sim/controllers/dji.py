@@ -80,7 +80,13 @@ class SimulatedDji:
 
     def receive(self, frame: CanFrame, now_ns: int) -> Sequence[Emission]:
         """Take our slot of a command frame; beyond full scale saturates."""
-        if frame.id != self._command_id or frame.extended or frame.remote or len(frame.data) != _COMMAND.size:
+        if (
+            frame.id != self._command_id
+            or frame.extended
+            or frame.remote
+            or frame.fd
+            or len(frame.data) != _COMMAND.size
+        ):
             return ()
         if self.acknowledges:
             limit = self._esc.full_scale_raw

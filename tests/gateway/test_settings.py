@@ -1,0 +1,153 @@
+"""Settings of a running robot: what may be set, what is refused, and that none moves a robot by itself."""
+
+from itertools import pairwise
+
+import pytest
+
+from gateway.config import ConfigError, parse
+from gateway.core.assembly import build
+from gateway.core.engine import Engine
+from gateway.core.settings import SETTINGS, Settings
+from gateway.types import Mode, Outputs, Reply, Request, RequestKind, Twist
+from tests.gateway.test_snapshot import goes_on_byte_for_byte
+from tests.world import NAMES, World, robot_text
+
+FAST = {"moby": Twist(0.8, 0.0, 0.0), "omni4": Twist(0.8, 0.0, 0.0)}
+
+
+def ask(world: World, setting: str | None, value: float | None) -> Reply:
+    request = Request(RequestKind.SET, 7, world.now_ns + world.period_ns, setting=setting, value=value)
+    (reply,) = world.cycle(requests=[request]).replies
+    return reply
+
+
+def fastest(outputs: Outputs) -> float:
+    return outputs.trace.setpoint.vx
+
+
+def top(world: World) -> float:
+    return world.config.limits.velocity.vx
+
+
+@pytest.mark.parametrize("setting", SETTINGS.values(), ids=lambda one: one.name)
+def test_every_setting_has_a_range_and_a_default_within_it(setting: object) -> None:
+    assert isinstance(setting, type(next(iter(SETTINGS.values()))))
+    assert setting.low < setting.high
+    assert setting.refusal(setting.default) is None
+    settings = Settings({})
+    for value in (setting.low, setting.high):
+        assert settings.set(setting.name, value) is None
+        assert settings.value(setting) == value
+    for value in (setting.low - 1e-6, setting.high + 1e-6, float("nan"), float("inf")):
+        words = settings.set(setting.name, value)
+        assert words is not None
+        assert f"{setting.low:g} to {setting.high:g} {setting.unit}" in words
+        assert settings.value(setting) == setting.high
+
+
+def test_what_is_refused_and_in_which_words() -> None:
+    world = World("moby")
+    world.run(0.1)
+    assert ask(world, "speed_override", 0.5) == Reply(7, ok=True, reason=None)
+    refused = ask(world, "speed_override", 2.0)
+    assert refused == Reply(7, ok=False, reason="speed_override = 2: must be 0.05 to 1 of limits.velocity")
+    assert ask(world, "colour", 1.0).reason == "setting = 'colour': must be one of speed_override"
+    assert ask(world, None, None).reason is not None
+    codes = [(event.code, event.text) for event in world.events if event.code.startswith("set")]
+    assert codes[:2] == [
+        ("set", "speed_override = 0.5"),
+        ("set_refused", "speed_override = 2: must be 0.05 to 1 of limits.velocity"),
+    ]
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert status.settings == (("speed_override", 0.5, "of limits.velocity", 0.05, 1.0),)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("speed_override = 0.04", "settings: speed_override = 0.04: must be 0.05 to 1 of limits.velocity"),
+        ("colour = 1.0", "settings: 'colour': must be one of speed_override"),
+    ],
+)
+def test_the_robot_file_names_what_it_is_at_the_start(lines: str, words: str) -> None:
+    config = parse(f"{robot_text('moby')}\n[settings]\nspeed_override = 0.25\n", "moby")
+    assert Engine(config)._settings.describe()[0].value == 0.25
+    with pytest.raises(ConfigError, match=words.replace(".", r"\.")):
+        build(parse(f"{robot_text('moby')}\n[settings]\n{lines}\n", "moby"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_override_is_bumpless_both_ways(name: str) -> None:
+    """Half of top speed is reached at no more than the limit of acceleration, and left so again."""
+    world = World(name)
+    world.start()
+    share = Twist(top(world), 0.0, 0.0)
+    world.run(3.0, share)
+    assert fastest(world.last) == pytest.approx(top(world))
+    acceleration = world.config.limits.acceleration.vx
+    for value in (0.5, 1.0, 0.05):
+        assert ask(world, "speed_override", value).ok
+        begin = len(world.records)
+        world.run(3.0, share)
+        speeds = [fastest(outputs) for _, outputs in world.records[begin - 2 :]]
+        steps = [abs(after - before) for before, after in pairwise(speeds)]
+        assert speeds[-1] == pytest.approx(value * top(world))
+        assert max(steps) <= acceleration * world.period_ns * 1e-9 * (1 + 1e-9)
+        overridden = world.records[-1][1]
+        assert overridden.mode is Mode.DRIVE
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert "speed_override" in status.limits_active
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_direction_is_kept(name: str) -> None:
+    world = World(name)
+    world.start()
+    ask(world, "speed_override", 0.1)
+    velocity = world.config.limits.velocity
+    world.run(3.0, Twist(velocity.vx, 0.5 * velocity.vy, 0.0))
+    vx, vy, wz = world.last.trace.setpoint
+    assert (vx, vy, wz) == pytest.approx((0.1 * velocity.vx, 0.05 * velocity.vy, 0.0))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("twist", [None, Twist(0.0, 0.0, 0.0)])
+def test_no_setting_moves_a_robot_by_itself(name: str, twist: Twist | None) -> None:
+    world = World(name)
+    world.start()
+    for value in (0.05, 1.0, 0.3):
+        ask(world, "speed_override", value)
+        world.run(0.3, twist)
+        assert world.last.trace.setpoint == (0.0, 0.0, 0.0)
+        assert world.true_speed() < 1e-3
+
+
+def test_it_can_be_set_in_an_emergency_stop_and_arms_nothing() -> None:
+    world = World("moby")
+    world.start()
+    world.request(RequestKind.ESTOP)
+    mode = world.last.mode
+    assert ask(world, "speed_override", 0.5).ok
+    assert world.last.mode is mode
+    assert ask(world, "speed_override", 1.0).ok
+    world.run(0.5, Twist(0.3, 0.0, 0.0))
+    assert world.is_in(Mode.ESTOP)
+
+
+def test_a_restart_goes_back_to_the_robot_file() -> None:
+    world = World("moby")
+    world.run(0.1)
+    ask(world, "speed_override", 0.5)
+    world.loop.restart(world.now_ns + 1_000_000_000)
+    world.run(0.2)
+    status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
+    assert status.settings[0].value == 1.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_in_the_snapshot(name: str) -> None:
+    world = World(name)
+    world.start()
+    ask(world, "speed_override", 0.2)
+    world.run(0.5, FAST[name])
+    assert goes_on_byte_for_byte(world.records, world.config, every=5) > 30
