@@ -9,12 +9,14 @@ that is refused or not what led to it, cycles out of order, a process that died)
 """
 
 import multiprocessing
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
+from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -124,8 +126,16 @@ def _done(waiting: deque[tuple[Stretch, Future[_Tally | None]]]) -> tuple[Stretc
 
 
 def _begin() -> None:
-    """An interrupt from the keyboard is for whoever has begun this process, with which it ends."""
+    """An interrupt from the keyboard is for whoever has begun this process; one that was killed ends no pool."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _tally(config_text: str, stretch: Stretch) -> _Tally | None:
