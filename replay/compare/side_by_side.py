@@ -8,13 +8,16 @@ stretches are an equal drive. Nothing but that is found here. Whatever is not pl
 that is refused or not what led to it, cycles out of order, a process that died) is for the single pass to look at.
 """
 
+import gc
 import multiprocessing
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache, partial
+from functools import lru_cache
+from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -57,9 +60,8 @@ class _Tally(NamedTuple):
 
 
 def processes(jobs: int) -> ProcessPoolExecutor:
-    """So many, each started when there is something to do; an interrupt from the keyboard is for whoever began them."""
-    ignore = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)
-    return ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ignore)
+    """So many, each started when there is something to do. They end with the process that has begun them, however."""
+    return ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
 
 
 def confirmed(session: Session, pool: Executor, progress: Callable[[int], None]) -> Confirmed | None:
@@ -121,8 +123,25 @@ def _done(waiting: deque[tuple[Stretch, Future[_Tally | None]]]) -> tuple[Stretc
     return stretch, future.result()
 
 
+# in a process of the pool
+
+
+def _begin() -> None:
+    """An interrupt from the keyboard is for whoever has begun this process; one that was killed ends no pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()  # what was imported is not looked through again and again: 5 % of the time
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _tally(config_text: str, stretch: Stretch) -> _Tally | None:
-    """In a process of the pool."""
+    """None: it is not plainly equal."""
     try:
         return _equal(_config(config_text), stretch)
     except CRASHES:

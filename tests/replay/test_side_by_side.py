@@ -3,7 +3,10 @@
 import os
 import pickle
 import random
+import select
 import shutil
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
@@ -240,3 +243,26 @@ def test_processes_are_others(recorded: Path) -> None:
     with processes(1) as pool:
         assert pool.submit(os.getpid).result() != os.getpid()
         assert judged(recorded, pool) == judged(recorded, None)
+
+
+def test_processes_end_with_the_one_that_began_them() -> None:
+    script = (
+        "import os, sys\n"
+        "from replay.compare.side_by_side import processes\n"
+        "if __name__ == '__main__':\n"
+        "    print(processes(1).submit(os.getpid).result(), flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as parent:
+        assert parent.stdout is not None
+        worker = os.pidfd_open(int(parent.stdout.readline()))
+        parent.kill()
+        ended, _, _ = select.select([worker], [], [], 60.0)
+        os.close(worker)
+    assert ended
