@@ -257,6 +257,7 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
     caption = [
         f"pose x {status.pose.x:z.3f} m  y {status.pose.y:z.3f} m  theta {status.pose.theta:z.3f} rad",
         f"winner {status.winner or '-'}  limits {', '.join(status.limits_active) or '-'}  cycle {status.cycle}",
+        "  ".join(f"{setting.name} {setting.value:g}" for setting in status.settings),
         f"overruns {status.overruns}  refused {status.refused}  frames dropped {status.tx_dropped}",
         *(f"{event.level.value} {event.code}: {event.text}" for event in events),
     ]

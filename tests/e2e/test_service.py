@@ -137,11 +137,17 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         assert reason == "does not start: no source ghost: the sources are teleop, autonomy"
         turned = drivegate("reference", "omni4", "--angle", "7")
         assert (turned.returncode, turned.stderr.strip()) == (1, "angle = 7.0: must be a number from -6.3 to 6.3 rad")
+        slower = drivegate("set", "omni4", "speed_override", "0.5", "--json")
+        assert (slower.returncode, json.loads(slower.stdout)) == (0, {"ok": True, "reason": None})
+        faster = drivegate("set", "omni4", "speed_override", "2")
+        assert faster.returncode == 1
+        assert "refused: speed_override = 2: must be 0.05 to 1 of limits.velocity" in faster.stderr.replace("\n", " ")
         stopped = drivegate("stop", "omni4", "--json")
         assert stopped.returncode == 0, stopped.stderr
         assert json.loads(stopped.stdout)["ok"] is True
         assert "estop" in drivegate("watch", "omni4", "--once").stdout
         watched = json.loads(drivegate("watch", "omni4", "--json").stdout.splitlines()[-1])
+        assert [(one["name"], one["value"]) for one in watched["settings"]] == [("speed_override", 0.5)]
         assert (watched["mode"], [source["name"] for source in watched["sources"]]) == ("estop", ["teleop", "autonomy"])
         latched = drivegate("send", "omni4", "--vx", "0.3")
         assert latched.returncode == 1

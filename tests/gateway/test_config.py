@@ -361,6 +361,7 @@ def test_the_time_of_an_fd_frame_has_two_rates() -> None:
     assert frame_time(Traffic("x", False, 8, 1.0), bus) == pytest.approx(135 / 5e5)
 
 
+@pytest.mark.pure_python  # a driver made from one of ours
 def test_a_driver_of_fd_frames_needs_an_fd_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     class Talkative(OdriveDriver):
         def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:

@@ -1,6 +1,7 @@
 """Settings of a running robot: what may be set, what is refused, and that none moves a robot by itself."""
 
 from itertools import pairwise
+from random import Random
 
 import pytest
 
@@ -9,7 +10,9 @@ from gateway.core.assembly import build
 from gateway.core.engine import Engine
 from gateway.core.settings import SETTINGS, Settings
 from gateway.types import Mode, Outputs, Reply, Request, RequestKind, Twist
+from replay.drive.scenario_file import Scenario
 from tests.gateway.test_snapshot import goes_on_byte_for_byte
+from tests.random_drives import SECONDS, judge, scenario
 from tests.world import NAMES, World, robot_text
 
 FAST = {"moby": Twist(0.8, 0.0, 0.0), "omni4": Twist(0.8, 0.0, 0.0)}
@@ -142,6 +145,20 @@ def test_a_restart_goes_back_to_the_robot_file() -> None:
     world.run(0.2)
     status = next(outputs.status for _, outputs in reversed(world.records) if outputs.status)
     assert status.settings[0].value == 1.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [301, 302, 303])
+def test_the_laws_of_a_drive_hold_however_it_is_set(name: str, seed: int) -> None:
+    config = parse(robot_text(name), name)
+    script = scenario(seed, config, can_brake=True).model_dump(by_alias=True, exclude_none=True, mode="json")
+    chance = Random(seed)
+    script["at"] += [
+        {"t": chance.uniform(0.0, SECONDS), "set": {"speed_override": chance.uniform(0.05, 1.0)}} for _ in range(40)
+    ]
+    driven = judge(Scenario.model_validate(script), config, can_brake=True)
+    assert driven.cycles > 1000
+    assert not any(driven.violations.values())
 
 
 @pytest.mark.parametrize("name", NAMES)
