@@ -128,7 +128,7 @@ class Engine:
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
         more = self._target_of_more(selection) if self._more else ()
-        motion = self._limit(target, measured, health, more=more)
+        motion = self._limit((*target, *more) if more else target, measured, health)
         frames = self._command(motion, measured, health)
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
@@ -390,14 +390,14 @@ class Engine:
             return (0.0,) * len(self._more)
         return more_of(command, self._more)
 
-    def _limit(self, target: Twist, measured: Measured, health: Health, *, more: Rates = ()) -> Motion:
+    def _limit(self, target: Rates, measured: Measured, health: Health) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
             headroom = self._motors.headroom(measured)
             effort = self._kinematics.reach(health.usable).effort if self._mode is Mode.DEGRADED else 1.0
-            _, active = self._limiter.step(target, measured.dt, more=more, effort=effort, headroom=headroom)
+            _, active = self._limiter.step(target, measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *active, "torque") if headroom < 1.0 else (*limits, *active)
         elif braking:
             self._brake(measured, health)
