@@ -111,16 +111,15 @@ class TwistLimiter:
         self._rate = _scaled(self._rate, factor)
 
     def step(
-        self, target: Twist, dt: float, *, more: Rates = (), effort: float = 1.0, headroom: float = 1.0
+        self, target: Rates, dt: float, *, effort: float = 1.0, headroom: float = 1.0
     ) -> tuple[Rates, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
-        `more`: the target of the axes beyond the twist, as many as there are.
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
         `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
         is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
         """
-        wanted, active = self._holdable((*target, *more) if more else target)
+        wanted, active = self._holdable(target)
         before = self.rates
         if dt <= 0.0 or (wanted == before and self._rate == self._zero):
             return before, active

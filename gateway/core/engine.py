@@ -142,7 +142,7 @@ class Engine:
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
         more = self._target_of_more(selection) if self._more else ()
-        motion = self._limit(target, measured, health, more=more)
+        motion = self._limit((*target, *more) if more else target, measured, health)
         frames = self._command(motion, measured, health)
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
@@ -448,25 +448,21 @@ class Engine:
             return (0.0,) * len(self._more)
         return more_of(command, self._more)
 
-    def _reached(self, target: Twist, more: Rates) -> tuple[Twist, Rates]:
+    def _reached(self, target: Rates) -> Rates:
         """What of it the motors left can drive."""
-        if self._ability is None or self._ability.reach is None:
-            return target, more
-        rates = self._ability.target((*target, *more), self._velocity)
-        return Twist(*rates[: len(PLANAR)]), rates[len(PLANAR) :]
+        return target if self._ability is None else self._ability.target(target, self._velocity)
 
-    def _limit(self, target: Twist, measured: Measured, health: Health, *, more: Rates = ()) -> Motion:
+    def _limit(self, target: Rates, measured: Measured, health: Health) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         if self._mode is Mode.DEGRADED and self._ability is not None and self._ability.reach is not None:
             limits = (*limits, "limp")
         braking = self._mode in BRAKING
         if self._mode in DRIVING:
-            target, more, overridden = self._overridden(target, more)
+            target, overridden = self._overridden(target)
             headroom = self._motors.headroom(measured)
             effort = self._ability.effort if self._ability is not None else 1.0
-            target, more = self._reached(target, more)
-            _, active = self._limiter.step(target, measured.dt, more=more, effort=effort, headroom=headroom)
+            _, active = self._limiter.step(self._reached(target), measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
             self._brake(measured, health)
@@ -479,16 +475,13 @@ class Engine:
             self._limiter.scale(motion.share)
         return motion._replace(limits=(*limits, *motion.limits))
 
-    def _overridden(self, target: Twist, more: Rates) -> tuple[Twist, Rates, tuple[str, ...]]:
+    def _overridden(self, target: Rates) -> tuple[Rates, tuple[str, ...]]:
         """The target within the share of top speed that commands may use; the setpoint goes there within the limits."""
         share = self._settings.value(SPEED_OVERRIDE)
         if share >= 1.0:
-            return target, more, ()
-        asked = (*target, *more)
-        allowed = scale_to(asked, tuple([share * axis for axis in self._velocity]))
-        if allowed is asked:
-            return target, more, ()
-        return Twist(*allowed[: len(PLANAR)]), allowed[len(PLANAR) :], (SPEED_OVERRIDE.name,)
+            return target, ()
+        allowed = scale_to(target, tuple([share * axis for axis in self._velocity]))
+        return allowed, () if allowed is target else (SPEED_OVERRIDE.name,)
 
     def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""

@@ -25,7 +25,7 @@ from gateway.core.examination import examine
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Body, Length, Name, Section
-from gateway.types import PLANAR, ZERO_TWIST, Inputs, Mode, Rates, RequestKind, Twist
+from gateway.types import PLANAR, ZERO_TWIST, Inputs, Mode, Rates, RequestKind
 from tests.gateway.test_engine_rules import FORWARD, Stand
 from tests.world import robot_text
 
@@ -185,7 +185,7 @@ def walk(moving: TwistLimiter, target: Rates) -> Iterator[Rates]:
     before: Rates | None = None
     while moving.rates != before:
         before = moving.rates
-        moving.step(Twist(*target[:3]), 0.004, more=target[3:])
+        moving.step(target, 0.004)
         yield moving.rates
 
 
@@ -210,7 +210,7 @@ def test_the_slowest_axis_holds_the_others_back() -> None:
     moving = limiter()
     course = list(walk(moving, (0.1, 0.0, 0.0, 0.2)))
     assert len(course) * 0.004 == pytest.approx(0.65, abs=0.03)
-    assert "velocity" in moving.step(Twist(2.0, 0.0, 0.0), 0.004, more=(0.4,))[1]
+    assert "velocity" in moving.step((2.0, 0.0, 0.0, 0.4), 0.004)[1]
 
 
 @settings(max_examples=40, deadline=None)
@@ -320,7 +320,7 @@ def test_its_state_goes_on_from_a_snapshot() -> None:
     engine = Engine(CONFIG)
     for cycle in range(5):
         engine.step(Inputs(cycle, cycle * 4_000_000))
-    engine._limiter.step(FORWARD, 0.004, more=(0.1,))
+    engine._limiter.step((*FORWARD, 0.1), 0.004)
     state = engine.snapshot()
     other = Engine(CONFIG, json.loads(json.dumps(state)))
     assert other._limiter.rates == engine._limiter.rates
