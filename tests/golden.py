@@ -1,4 +1,4 @@
-"""Checks a file of reference vectors against the code: `python -m tests.golden FILE`.
+"""Checks a file of reference vectors against the code: `python -m tests.golden FILE [FILE ...]`.
 
 The vectors use the papers' frames; `_FUNCTIONS` is the one place where they are converted to ours.
 Rojas: x right, y forward, wheel axes at angles from right; ours are x forward, y left, so (vx, vy) of the paper is
@@ -11,7 +11,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from math import cos, pi, sin
+from math import cos, hypot, pi, sin
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gateway.chassis.omni import WheelPose, omni_kinematics
+from gateway.control.compensation import Compensation, RegionAt
+from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
@@ -122,11 +124,110 @@ def _caster_inverse(given: Vector) -> dict[str, Any]:
     return _caster(given, Twist(given["xdot"], given["ydot"], 0.0))
 
 
+def _pull(given: Vector) -> Pull:
+    pull = examine(
+        given["xdot"],
+        given["ydot"],
+        angle=-given["theta_c"],
+        path_rate=given.get("omega", 0.0),
+        axle_offset=given.get("d1", 1.0),
+    )
+    assert pull is not None
+    return pull
+
+
+def _gamma(given: Vector) -> dict[str, Any]:
+    pull = _pull(given)
+    speed = hypot(given["xdot"], given["ydot"])
+    return {"gamma": pull.gamma, "cos_gamma": cos(pull.gamma), "speed": speed, "region": pull.region.value}
+
+
+def _gamma_goal(given: Vector) -> dict[str, Any]:
+    goal, saturated = goal_of(given["omega"], given["c"], given["d1"])
+    return {"gamma_goal": goal, "saturated": saturated}
+
+
+def _compensation(given: Vector, region: float) -> Compensation:
+    """With an authority that nothing exhausts."""
+    regions = (RegionAt(0.0, region),)
+    return Compensation(gain=given["k"], regions=regions, axle_offset=given["d1"], authority=1e12)
+
+
+def _compensate(given: Vector) -> dict[str, Any]:
+    """`active` is not told by the code: it is the error within the region."""
+    x, y, pull = _compensation(given, given["region"]).turn(
+        given["xdot"], given["ydot"], joint=-given["theta_c"], path_rate=given["omega"], dt=1.0
+    )
+    assert pull is not None
+    return {"xdot": x, "ydot": y, "gamma_err": pull.error, "active": abs(pull.error) <= given["region"]}
+
+
+_STEPS_PER_OFFSET = 800  # of way: Runge's fourth-order error is below 1e-13 of the angle
+
+
+def _heading_after(given: Vector, heading: float, velocity: tuple[float, float], way: float, gain: float) -> float:
+    """Of the chassis, by integrating what the kinematics and the compensation say; the platform keeps heading 0."""
+    kinematics = _offset(given)
+    compensation = _compensation({"k": gain, "d1": given["d1"]}, pi)
+    speed = hypot(*velocity)
+    vx, vy = velocity[0] / speed, velocity[1] / speed
+    steps = max(1, round(way / given["d1"] * _STEPS_PER_OFFSET))
+
+    def rate(at: float) -> float:
+        x, y, _ = compensation.turn(vx, vy, joint=-at, path_rate=0.0, dt=1.0) if gain != 0.0 else (vx, vy, None)
+        speeds = kinematics.wheel_speeds(Twist(x, y, 0.0), [None, None, -at])
+        assert speeds is not None
+        return -speeds[2]
+
+    h = way / steps
+    for _ in range(steps):
+        one = rate(heading)
+        two = rate(heading + 0.5 * h * one)
+        three = rate(heading + 0.5 * h * two)
+        heading += h / 6.0 * (one + 2.0 * two + 2.0 * three + rate(heading + h * three))
+    return heading
+
+
+def _gamma_free(given: Vector) -> dict[str, Any]:
+    gamma0 = given["gamma0"]
+    return {"gamma": -_heading_after(given, -gamma0, (1.0, 0.0), given["s"], 0.0)}
+
+
+def _gamma_err_compensated(given: Vector) -> dict[str, Any]:
+    heading = _heading_after(given, pi - given["err0"], (1.0, 0.0), given["s"], given["k"])
+    return {"err": pi - heading}
+
+
+def _step_theta(given: Vector) -> dict[str, Any]:
+    velocity = given["xdot"], given["ydot"]
+    way = hypot(*velocity) * given["dt"]
+    return {"theta_c_next": _heading_after(given, given["theta_c"], velocity, way, 0.0)}
+
+
+def _trapezoid(given: Vector) -> dict[str, Any]:
+    """Speed up for a quarter, hold for a half, slow down for a quarter of the time (section 7 of the paper)."""
+    quarter, top, t = given["T"] / 4.0, given["c"], given["t"]
+    rate = top / quarter
+    if t <= quarter:
+        return {"v": rate * t, "s": 0.5 * rate * t * t}
+    if t <= 3.0 * quarter:
+        return {"v": top, "s": top * (t - 0.5 * quarter)}
+    left = given["T"] - t
+    return {"v": rate * left, "s": 3.0 * quarter * top - 0.5 * rate * left * left}
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
     "offset.caster_forward": _caster_forward,
     "offset.caster_inverse": _caster_inverse,
+    "offset.gamma": _gamma,
+    "offset.gamma_goal": _gamma_goal,
+    "offset.compensate": _compensate,
+    "offset.gamma_free": _gamma_free,
+    "offset.gamma_err_compensated": _gamma_err_compensated,
+    "offset.step_theta": _step_theta,
+    "profile.trapezoid_quarter": _trapezoid,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,
@@ -153,13 +254,17 @@ def _close(got: object, expected: object, rtol: float, atol: float) -> bool:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Exit 0 when nothing failed."""
-    vectors = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["vectors"]
+    """Prints a table of the functions and what missed; exit 0 when nothing failed."""
+    vectors = [vector for name in arguments for vector in json.loads(Path(name).read_text(encoding="utf-8"))["vectors"]]
     missing = Counter(vector["function"] for vector in vectors if vector["function"] not in _FUNCTIONS)
-    results = [check(vector) for vector in vectors if vector["function"] in _FUNCTIONS]
-    lines = [f"FAILED {result}" for result in results if result is not None]
+    results = [(vector["function"], check(vector)) for vector in vectors if vector["function"] in _FUNCTIONS]
+    every = Counter(function for function, _ in results)
+    missed = Counter(function for function, result in results if result is not None)
+    lines = [f"{'function':<30} passed failed"]
+    lines += [f"{name:<30} {every[name] - missed[name]:>6} {missed[name]:>6}" for name in sorted(every)]
+    lines += [f"FAILED {result}" for _, result in results if result is not None]
     lines += [f"not built: {function} ({number} vectors)" for function, number in sorted(missing.items())]
-    failed = sum(result is not None for result in results)
+    failed = missed.total()
     sys.stdout.write("\n".join([*lines, f"{len(results) - failed} passed, {failed} failed"]) + "\n")
     return 1 if failed or not results else 0
 

@@ -30,6 +30,7 @@ ROOMS: dict[str, set[str]] = {
     "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
+    "gateway/paths": {"ground", "robot file", "gateway/control"},
     "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/chassis", "robot file", "gateway/control"},
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
@@ -51,7 +52,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 
 PURE = (
     *("drivers", "drivers/odrive", "ground", "robot file"),
-    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core"),
+    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
@@ -63,10 +64,8 @@ IMPURE_FILES = {
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
 RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
 PYDANTIC_FILES = {
-    "gateway/sections.py",
-    "gateway/config.py",
-    "gateway/edges/messages.py",
-    "replay/drive/scenario_file.py",
+    *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
+    "gateway/paths/path_file.py",
 }
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 

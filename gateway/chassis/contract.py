@@ -41,8 +41,15 @@ class LoopLimit(NamedTuple):
     """
 
     name: str
-    period: float
+    period: float  # 0.0: none is short enough
     used: bool
+
+    @property
+    def needed(self) -> str:
+        """The rate that it needs, in words."""
+        if self.period > 0.0:
+            return f"at least {1.0 / self.period:.1f} Hz"
+        return "no rate is enough, the feedback of the motors is too old: raise feedback_rate"
 
 
 class ChassisChannels(NamedTuple):

@@ -58,8 +58,8 @@ def _show(report: Examination) -> None:
         style = "yellow" if bus.load > LOAD_WARNING else "green"
         text = f"[{style}]{bus.load:.1%}[/] worst case at {report.rate_hz:g} Hz, {bus.frames_per_second:.0f} frames/s"
         table.add_row(f"load of {bus.bus}", text)
-    for name, period, _ in report.loop_limits:
-        table.add_row(name, f"stable at top speed above {1.0 / period:.1f} Hz")
+    for limit in report.loop_limits:
+        table.add_row(limit.name, f"stable at top speed: {limit.needed}")
     console.print(table)
     for warning in report.warnings:
         console.print(f"[yellow]warning[/] {warning}", highlight=False)

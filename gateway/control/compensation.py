@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from math import inf, pi, sqrt
 from typing import Final, NamedTuple
 
-from gateway.arithmetic import logarithm, sin_cos
+from gateway.arithmetic import angle_of, exponential, logarithm, sin_cos
 from gateway.control.pull_region import LEAST_SPEED, Pull, examine
 
+_DELAY_SLOPE: Final = 1.9  # a twentieth below the slope of the limit where it ends
 _PATH_RATE_TIME: Final = 0.1  # s, over which the rate of a path that nobody tells is averaged
 
 
@@ -35,13 +36,24 @@ def largest_region(gain: float) -> float:
 
 
 def longest_period(gain: float, *, axle_offset: float, speed: float, delay: float = 0.0) -> float:
-    """Period of the loop, s, from which on the sampled correction swings: (k - 1)(e^(c h/d1) - 1) < 2.
+    """Period of the loop, s, from which on the sampled correction swings; 0.0 where the delay alone makes it swing.
 
-    `delay`: s, by which the joint angle is old, counted as part of the period. Source: science 1.4; the delay ours.
+    `delay`: s, by which the joint angle is old at most. In units of d1/c, with h the period: without delay stable for
+    e^h < (k + 1)/(k - 1) (science 1.4); up to a delay of one period also e^h < 1/(k (1 - e^-delay)) (the poles are
+    those of z^2 + (k (e^(h - delay) - 1) - e^h) z + k e^h (1 - e^-delay)); for a longer delay the limit falls to zero
+    where the continuous loop swings, at acos(1/k)/sqrt(k^2 - 1), with a slope of 2, of which 1.9 is taken.
+    Source: ours, from de/dt = (c/d1)(e - k e_measured) (science 1.4).
     """
     if gain <= 1.0:
         return inf
-    return axle_offset / speed * logarithm(1.0 + 2.0 / (gain - 1.0)) - delay
+    unit = axle_offset / speed
+    late = delay / unit
+    if late > logarithm(1.0 + 1.0 / gain):  # the limit with a delay of just one period
+        root = sqrt((gain - 1.0) * (gain + 1.0))
+        return unit * max(0.0, _DELAY_SLOPE * (angle_of(root, 1.0) / root - late))
+    growth = (gain + 1.0) / (gain - 1.0)
+    old = gain * (1.0 - exponential(-late))
+    return unit * logarithm(growth if old * growth <= 1.0 else 1.0 / old)
 
 
 def region_at(regions: Sequence[RegionAt], speed: float) -> float:

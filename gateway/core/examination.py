@@ -103,9 +103,9 @@ def examine(config: RobotConfig, origin: str) -> Examination:
     overloaded += _wild_loops(config, robot)
     loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=_feedback_delay(config))
     overloaded += [
-        f"loop.rate = {config.loop.rate:g} Hz: too slow for {name} at limits.velocity: at least {1.0 / period:.1f} Hz"
-        for name, period, used in loop_limits
-        if used and 1.0 / config.loop.rate > period
+        f"loop.rate = {config.loop.rate:g} Hz: too slow for {one.name} at limits.velocity: {one.needed}"
+        for one in loop_limits
+        if one.used and 1.0 / config.loop.rate > one.period
     ]
     if overloaded:
         raise ConfigError(origin, overloaded)
@@ -260,9 +260,9 @@ def _warnings(
             "such twists are held back as far as the motors follow"
         )
     found += [
-        f"loop.rate = {config.loop.rate:g} Hz is too slow for {name}: {1 / period:.1f} Hz"
-        for name, period, _ in loop_limits
-        if 1.0 / config.loop.rate > period
+        f"loop.rate = {config.loop.rate:g} Hz is too slow for {one.name}: {one.needed}"
+        for one in loop_limits
+        if not one.used and 1.0 / config.loop.rate > one.period
     ]
     found += [
         f"motor {motor.name}: no watchdog in the controller: {motor.watchdog_waiver}"

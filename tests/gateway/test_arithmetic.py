@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import mp, mpf
 
-from gateway.arithmetic import angle_of, arcsine, dot, logarithm, sin_cos
+from gateway.arithmetic import angle_of, arcsine, dot, exponential, logarithm, sin_cos
 
 # Of all floats the one nearest to a multiple of pi/2 (Muller, Elementary Functions, 2nd ed., section 11.3.2).
 HARDEST = 6381956970095103.0 * 2.0**797
@@ -149,3 +149,17 @@ def test_logarithms_within_what_is_promised(x: float) -> None:
 def test_no_logarithm_of_what_has_none(x: float) -> None:
     with pytest.raises(ValueError, match="must be finite and above zero"):
         logarithm(x)
+
+
+@settings(max_examples=1000, deadline=None)
+@given(st.floats(-700.0, 700.0) | st.floats(-1.0, 1.0))
+def test_exponentials_within_what_is_promised(x: float) -> None:
+    with mp.workprec(200):
+        assert ulps(exponential(x), mp.exp(mpf(x))) <= 3.0
+    assert exponential(0.0) == 1.0
+
+
+@pytest.mark.parametrize("x", [700.1, -700.1, math.inf, -math.inf, math.nan])
+def test_no_exponential_beyond_its_range(x: float) -> None:
+    with pytest.raises(ValueError, match="must be within -700 to 700"):
+        exponential(x)

@@ -338,13 +338,13 @@ def test_numbers_of_check_by_hand() -> None:
     """Otbot top speed: the worst heading asks sqrt(10^2 + 8^2) rad/s of a wheel per m/s, of 22 rad/s.
 
     C620: 4 x 1000 feedback and 250 command frames of 135 bits are 57.4 % of 1 Mbit/s.
-    Compensation: ln 3 x 0.25 m / 1.2 m/s = 0.229 s, less the 4 ms by which a measurement may be old.
+    Compensation: ln 3 x 0.25 m / 1.2 m/s = 0.229 s.
     """
     moby = examine(parse(robot_text("moby"), "moby"), "moby")
     assert moby.top_speeds[0] == pytest.approx(22.0 / 164.0**0.5, rel=2e-3)
     (compensation,) = moby.loop_limits
     assert compensation.name == "compensation"
-    assert compensation.period == pytest.approx(0.2249, abs=1e-4)
+    assert compensation.period == pytest.approx(0.2289, abs=1e-4)
     omni = examine(parse(robot_text("omni4"), "omni4"), "omni4")
     assert omni.buses[0].load == pytest.approx(4250 * 135 / 1e6)
     assert (frame_bits(8, extended=False), frame_bits(8, extended=True)) == (135, 160)

@@ -197,8 +197,14 @@ def test_what_cannot_work_is_refused(old: str, new: str, words: str) -> None:
 
 
 def test_a_loop_too_slow_for_compensation_is_refused_where_it_is_used() -> None:
-    """d1 = 20 mm: 1.0986 d1/c less the age of a measurement are 14 ms at 1.2 m/s; the loop has 20."""
-    edits = {"axle_offset = 0.25": "axle_offset = 0.02", "rate = 250.0\n": "rate = 50.0\n"}
+    """d1 = 20 mm: 18 ms (1.0986 d1/c at 1.2 m/s) at most; the loop has 20."""
+    edits = {"axle_offset = 0.25": "axle_offset = 0.02", "[loop]\nrate = 250.0": "[loop]\nrate = 50.0"}
     with pytest.raises(ConfigError, match=r"loop\.rate = 50 Hz: too slow for compensation"):
         examine(robot(edits, compensation=True), "moby")
     assert any("too slow for compensation" in text for text in examine(robot(edits, compensation=False), "m").warnings)
+
+
+def test_feedback_too_old_for_compensation_is_refused_in_words() -> None:
+    edits = {"axle_offset = 0.25": "axle_offset = 0.02", "feedback_rate = 250.0": "feedback_rate = 20.0"}
+    with pytest.raises(ConfigError, match=r"no rate is enough, the feedback of the motors is too old"):
+        examine(robot(edits, compensation=True), "moby")

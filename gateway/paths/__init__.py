@@ -1,0 +1,1 @@
+"""Paths over the floor and who follows them: geometry and arithmetic only."""

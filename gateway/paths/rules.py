@@ -1,0 +1,70 @@
+"""What a path must be so that an offset-differential robot can be pulled along it (section 5 of preprints202312.1327).
+
+Rule 1: smooth, and at its start tangent to the direction in which the chassis is in balance, pulled (Eq. 22). Rule 2:
+no turn tighter than d1. A robot without an offset axle has none of these rules.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Final
+
+from gateway.arithmetic import arcsine
+from gateway.control.pull_region import goal_of, wrapped
+from gateway.paths.path import Path, Piece
+from gateway.types import Pose
+
+START_TOLERANCE: Final = 0.05  # rad, of the chassis from its balance at the start
+_ROUNDING: Final = 1.0 + 1e-9
+
+
+def problems(path: Path, axle_offset: float) -> list[str]:
+    """Where the path breaks a rule; none: it can be driven."""
+    return [
+        f"{piece.words}, {start:.3f} m from the start: {problem}"
+        for piece, start in zip(path.pieces, path.starts, strict=True)
+        for problem in _problems(piece, axle_offset)
+    ]
+
+
+def _problems(piece: Piece, axle_offset: float) -> Iterator[str]:
+    if piece.corner != 0.0:
+        yield f"turns by {piece.corner:g} rad at once: a chassis is pulled along smooth paths only"
+    sharpest = max(abs(piece.before), abs(piece.after))
+    if sharpest * axle_offset > _ROUNDING:
+        yield f"radius {1.0 / sharpest:.4g} m: must be at least the axle offset, {axle_offset:g} m"
+
+
+def start_error(path: Path, chassis_heading: float, axle_offset: float) -> float:
+    """How far the path's start is from the balance of the chassis, pulled, rad: gamma - gamma_goal (Eq. 22)."""
+    point = path.at(0.0)
+    return wrapped(point.heading - chassis_heading - goal_of(point.curvature, 1.0, axle_offset)[0])
+
+
+def start_problem(path: Path, chassis_heading: float, axle_offset: float) -> str | None:
+    """None where the chassis lies for the path as it stands."""
+    error = start_error(path, chassis_heading, axle_offset)
+    if abs(error) <= START_TOLERANCE:
+        return None
+    return (
+        f"start: {error:+.3f} rad from the direction in which the chassis is pulled: must be within {START_TOLERANCE:g}"
+    )
+
+
+def direction_on_axle(chassis_heading: float, curvature: float, axle_offset: float) -> float:
+    """Direction of motion, rad, with which the instant centre lies on the axle and the way has this curvature, pulled.
+
+    The chassis then turns as the way does: gamma is gamma_goal, whatever the curvature does next.
+    """
+    return chassis_heading + goal_of(curvature, 1.0, axle_offset)[0]
+
+
+def on_axle(start: Pose, arcs: Sequence[Piece], axle_offset: float) -> Path:
+    """The arcs joined so that the instant centre of rotation stays on the axle where the curvature jumps.
+
+    Between curvatures a and b the direction turns at once by asin(d1 a) - asin(d1 b) while the chassis does not turn.
+    """
+    joined = [
+        piece._replace(corner=arcsine(before.after * axle_offset) - arcsine(piece.before * axle_offset))
+        for before, piece in pairwise(arcs)
+    ]
+    return Path(start, [*arcs[:1], *joined])
