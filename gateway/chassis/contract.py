@@ -70,6 +70,7 @@ class LawParts(NamedTuple):
     velocity: Rates  # limits of the body
     acceleration: Rates
     period: float  # s
+    delay: float  # s, by which a measurement may be old
 
 
 class Chassis(Protocol):

@@ -1,6 +1,7 @@
 """Two driven wheels whose axle lies d1 behind a driven platform joint, and a passive caster (MOBY, Otbot)."""
 
 from collections.abc import Sequence
+from functools import partial
 from math import isfinite, sqrt
 from typing import Annotated, ClassVar, Final, Literal, Self
 
@@ -132,6 +133,10 @@ class OffsetDifferentialRobot(Section):
             compensation=compensation,
             flip=None if limits is None else self._flip_limit(limits, parts.acceleration),
             accelerations=limits,
+            period=parts.period,
+            longest_period=partial(
+                longest_period, axle_offset=self.axle_offset, speed=max(parts.velocity[:2]), delay=parts.delay
+            ),
         )
 
     def _across(self, accelerations: Sequence[float]) -> float:

@@ -7,7 +7,7 @@ the setpoint within the body's limits and everything measured, and answers with 
 and with what of the setpoint is really driven. Which joints may be commanded at all is not its business.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from drivers.contract import CommandKind
@@ -86,8 +86,20 @@ class DriveLaw(Protocol):
         """What it can do besides twists; the same for ever."""
         ...
 
-    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
-        """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest."""
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """What of it may be set while it drives (`gateway.core.settings`), as it is at the start."""
+        ...
+
+    def set(self, name: str, value: float) -> str | None:
+        """Take a new value of one of these, within its range and without a step; why not, if not."""
+        ...
+
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
+        """Commands for this setpoint, whatever is known. `braking`: the setpoint is on its way to rest.
+
+        `path_rate`: rad/s by which the commander says that the direction of its path turns; None: it does not say.
+        """
         ...
 
     def stop(self, measured: Measured) -> Motion:
@@ -128,7 +140,16 @@ class SpeedLaw:
         """What the axes of the chassis let it do."""
         return self._features
 
-    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Nothing."""
+        return {}
+
+    def set(self, name: str, value: float) -> str | None:
+        """There is nothing to set."""
+        return f"{name}: this chassis has no such setting"
+
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
         self._blind = self._blind and braking
         speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self.angles_ahead(measured))

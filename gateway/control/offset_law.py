@@ -7,17 +7,19 @@ speeds of the joints (`SpeedLaw`) -> shortened to what the motors can change in 
 limits made it; what is driven of it goes back as `share`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isinf, sqrt
 from typing import Final
 
 from drivers.contract import CommandKind
-from gateway.control.compensation import Compensation, PathRate, region_at
+from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, examine
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
 from gateway.types import ChassisState, Rates
 
+GAIN: Final = "compensation_gain"
+REGION: Final = "compensation_region"
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
 
 
@@ -33,14 +35,21 @@ class OffsetDifferentialLaw:
         compensation: Compensation | None,
         flip: FlipLimit | None,
         accelerations: Sequence[float] | None,
+        period: float,
+        longest_period: Callable[[float], float],
     ) -> None:
-        """`joint`: place of the platform joint; `accelerations`: rad/s^2 of each motor, None: no limit of their own."""
+        """`joint`: place of the platform joint; `accelerations`: rad/s^2 of each motor, None: no limit of their own.
+
+        `period`: s, of the loop; `longest_period`: s, with which a gain works at top speed.
+        """
         self._speeds = speeds
         self._joint = joint
         self._axle_offset = axle_offset
         self._compensation = compensation
         self._flip = flip
         self._accelerations = None if accelerations is None else tuple(accelerations)
+        self._period = period
+        self._longest_period = longest_period
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
 
@@ -49,10 +58,38 @@ class OffsetDifferentialLaw:
         """Twists and nothing else."""
         return self._speeds.features
 
-    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Gain and region of the compensation; a region that goes by speed as it is at its first speed."""
+        if self._compensation is None:
+            return {}
+        return {GAIN: self._compensation.gain, REGION: self._compensation.regions[0].region}
+
+    def set(self, name: str, value: float) -> str | None:
+        """Another gain, or another region at every speed, where it can work."""
+        one = self._compensation
+        if one is None:
+            return f"{name}: this robot is not compensated"
+        gain = value if name == GAIN else one.gain
+        regions = (RegionAt(0.0, value),) if name == REGION else one.regions
+        refusal = self._objection(gain, max(point.region for point in regions))
+        if refusal is None:
+            one.gain, one.regions = gain, regions
+        return refusal
+
+    def _objection(self, gain: float, region: float) -> str | None:
+        largest = largest_region(gain)
+        if region > largest:
+            return f"gain {gain:g} with a region of {region:.4g} rad: allowed up to {largest:.4g} rad"
+        if self._period > self._longest_period(gain):
+            return f"gain {gain:g}: the loop is too slow for it at top speed"
+        return None
+
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
         vx, vy, wz = setpoint
-        rate = self._path_rate.of(vx, vy, wz, measured.dt)
+        estimated = self._path_rate.of(vx, vy, wz, measured.dt)
+        rate = estimated if path_rate is None else path_rate
         angle = self._speeds.angles_ahead(measured)[self._joint]
         vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
         share = self._flip_share(vx, vy, angle, pull)

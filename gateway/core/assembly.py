@@ -12,7 +12,7 @@ from gateway.control.drive_law import DriveLaw
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
-from gateway.core.settings import problems
+from gateway.core.settings import problems_of_file
 from gateway.kinematics.contract import GeometryError, Kinematics
 
 
@@ -40,7 +40,7 @@ class Robot(NamedTuple):
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range."""
-    wrong = [f"settings: {problem}" for problem in problems(config.settings)]
+    wrong = [f"settings: {problem}" for problem in problems_of_file(config.settings)]
     if wrong:
         raise ConfigError(origin, wrong)
     motors = config.motors_in_order()
@@ -64,6 +64,11 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     )
 
 
+def feedback_delay(config: RobotConfig) -> float:
+    """Oldest measurement that a cycle may have to do with, s."""
+    return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
+
+
 def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
     names, limits = config.robot.motor_names(), config.limits
     accelerations = limits.motor_acceleration
@@ -74,6 +79,7 @@ def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
         velocity=limits.velocity.as_rates(kinematics.axes),
         acceleration=limits.acceleration.as_rates(kinematics.axes),
         period=1.0 / config.loop.rate,
+        delay=feedback_delay(config),
     )
 
 

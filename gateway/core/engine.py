@@ -98,7 +98,7 @@ class Engine:
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz)
-        self._settings = Settings(config.settings)
+        self._settings = Settings(config.settings, robot.law)
         self._slip = SlipDetector()
         self._standstill = Standstill()
         self._reporter = Reporter(config)
@@ -142,7 +142,8 @@ class Engine:
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
         more = self._target_of_more(selection) if self._more else ()
-        motion = self._limit((*target, *more) if more else target, measured, health)
+        path_rate = selection.command.path_rate if selection.command is not None else None
+        motion = self._limit((*target, *more) if more else target, measured, health, path_rate=path_rate)
         frames = self._command(motion, measured, health)
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is Mode.IDLE else selection.command
@@ -452,7 +453,7 @@ class Engine:
         """What of it the motors left can drive."""
         return target if self._ability is None else self._ability.target(target, self._velocity)
 
-    def _limit(self, target: Rates, measured: Measured, health: Health) -> Motion:
+    def _limit(self, target: Rates, measured: Measured, health: Health, *, path_rate: float | None) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         if self._mode is Mode.DEGRADED and self._ability is not None and self._ability.reach is not None:
@@ -470,7 +471,7 @@ class Engine:
             self._limiter.reset()
         if self._mode is Mode.ESTOP:
             return self._law.stop(measured)._replace(limits=limits)
-        motion = self._law.motion(self._limiter.rates, measured, braking=braking)
+        motion = self._law.motion(self._limiter.rates, measured, braking=braking, path_rate=path_rate)
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
         return motion._replace(limits=(*limits, *motion.limits))

@@ -8,7 +8,7 @@ from drivers.contract import Traffic
 from gateway.chassis.contract import LoopLimit
 from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
-from gateway.core.assembly import Robot, build
+from gateway.core.assembly import Robot, build, feedback_delay
 from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
 from gateway.types import Rates
 
@@ -101,7 +101,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             f"most of all those of {_slowest(config)}"
         )
     overloaded += _wild_loops(config, robot)
-    loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=_feedback_delay(config))
+    loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=feedback_delay(config))
     overloaded += [
         f"loop.rate = {config.loop.rate:g} Hz: too slow for {one.name} at limits.velocity: {one.needed}"
         for one in loop_limits
@@ -138,11 +138,6 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             )
         ),
     )
-
-
-def _feedback_delay(config: RobotConfig) -> float:
-    """Oldest measurement that a cycle may have to do with, s."""
-    return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
 
 
 def _top_speeds(robot: Robot) -> Rates:

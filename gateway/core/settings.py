@@ -8,17 +8,18 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import Final, NamedTuple
 
+from gateway.control.drive_law import DriveLaw
 from gateway.types import SettingStatus
 
 
 class Setting(NamedTuple):
-    """`low` to `high`, in `unit`; `default` where the robot file's [settings] do not name it."""
+    """`low` to `high`, in `unit`; `default` where the robot file's [settings] do not name it, None: never there."""
 
     name: str
     unit: str
     low: float
     high: float
-    default: float
+    default: float | None
 
     def refusal(self, value: float) -> str | None:
         """Why this value is none; None: it is one."""
@@ -28,23 +29,41 @@ class Setting(NamedTuple):
 
 
 SPEED_OVERRIDE: Final = Setting("speed_override", "of limits.velocity", 0.05, 1.0, 1.0)  # that commands may use
-SETTINGS: Final = {setting.name: setting for setting in (SPEED_OVERRIDE,)}
+# Only where the robot file has [robot.compensation], which also says what they are at the start.
+COMPENSATION_GAIN: Final = Setting("compensation_gain", "(no unit)", 0.0, 4.0, None)
+COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, 3.14, None)
+SETTINGS: Final = {setting.name: setting for setting in (SPEED_OVERRIDE, COMPENSATION_GAIN, COMPENSATION_REGION)}
 KNOWN: Final = f"must be one of {', '.join(SETTINGS)}"
 
 
-def problems(given: Mapping[str, float]) -> list[str]:
-    """What is wrong with values that a file gives to settings."""
+def problems(asked: Mapping[str, float]) -> list[str]:
+    """What is wrong with values that somebody gives to settings, whatever the robot."""
     found = [
-        SETTINGS[name].refusal(value) if name in SETTINGS else f"{name!r}: {KNOWN}" for name, value in given.items()
+        SETTINGS[name].refusal(value) if name in SETTINGS else f"{name!r}: {KNOWN}" for name, value in asked.items()
     ]
     return [problem for problem in found if problem is not None]
+
+
+def problems_of_file(given: Mapping[str, float]) -> list[str]:
+    """The same of the robot file's [settings]."""
+    elsewhere = [
+        f"{name}: is said in the section of the robot that has it"
+        for name in given
+        if name in SETTINGS and SETTINGS[name].default is None
+    ]
+    return elsewhere or problems(given)
 
 
 class Settings:
     """The values now. One writer, the engine."""
 
-    def __init__(self, given: Mapping[str, float]) -> None:
-        self._values = {setting.name: given.get(setting.name, setting.default) for setting in SETTINGS.values()}
+    def __init__(self, given: Mapping[str, float], law: DriveLaw) -> None:
+        self._law = law
+        self._values = {
+            setting.name: given.get(setting.name, setting.default)
+            for setting in SETTINGS.values()
+            if setting.default is not None
+        } | dict(law.settings)
 
     def value(self, setting: Setting) -> float:
         """What it is now."""
@@ -53,15 +72,16 @@ class Settings:
     def set(self, name: str | None, value: float | None) -> str | None:
         """Takes a new value; why not, if not."""
         setting = SETTINGS.get(name or "")
-        if setting is None or value is None:
-            return f"setting = {name!r}: {KNOWN}"
+        if setting is None or value is None or setting.name not in self._values:
+            return f"setting = {name!r}: must be one of {', '.join(self._values)}"
         refusal = setting.refusal(value)
+        if refusal is None and setting.name in self._law.settings:
+            refusal = self._law.set(setting.name, value)
         if refusal is None:
             self._values[setting.name] = value
         return refusal
 
     def describe(self) -> tuple[SettingStatus, ...]:
-        """All of them."""
-        return tuple(
-            [SettingStatus(one.name, self.value(one), one.unit, one.low, one.high) for one in SETTINGS.values()]
-        )
+        """All that this robot has."""
+        rows = [SETTINGS[name] for name in self._values]
+        return tuple([SettingStatus(one.name, self.value(one), one.unit, one.low, one.high) for one in rows])

@@ -1,5 +1,7 @@
 """A chassis that falls when it is let go: the core honours what its drive law says of stop, rest and release."""
 
+from collections.abc import Mapping
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,7 +29,14 @@ class Balance:
     def features(self) -> Features:
         return TWISTS
 
-    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
+    @property
+    def settings(self) -> Mapping[str, float]:
+        return {}
+
+    def set(self, name: str, value: float) -> str | None:
+        return name
+
+    def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)
 
     def stop(self, measured: Measured) -> Motion:

@@ -164,7 +164,9 @@ class Stand:
         return reply.reason
 
     def limit(self, target: Twist, *, dt: float = 0.004) -> Motion:
-        return self.engine._limit(target, self.engine._measured._replace(dt=dt), self.engine._health._well)
+        return self.engine._limit(
+            target, self.engine._measured._replace(dt=dt), self.engine._health._well, path_rate=None
+        )
 
     @property
     def setpoints(self) -> tuple[float | None, ...]:

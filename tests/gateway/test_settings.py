@@ -11,6 +11,7 @@ from gateway.core.engine import Engine
 from gateway.core.settings import SETTINGS, Settings
 from gateway.types import Mode, Outputs, Reply, Request, RequestKind, Twist
 from replay.drive.scenario_file import Scenario
+from tests.gateway.test_offset_law import PULLED, compensated
 from tests.gateway.test_snapshot import goes_on_byte_for_byte
 from tests.random_drives import SECONDS, judge, scenario
 from tests.world import NAMES, World, robot_text
@@ -36,16 +37,18 @@ def top(world: World) -> float:
 def test_every_setting_has_a_range_and_a_default_within_it(setting: object) -> None:
     assert isinstance(setting, type(next(iter(SETTINGS.values()))))
     assert setting.low < setting.high
-    assert setting.refusal(setting.default) is None
-    settings = Settings({})
-    for value in (setting.low, setting.high):
+    assert setting.default is None or setting.refusal(setting.default) is None
+    # A gain of 1 works with every region, a small region with every gain.
+    config = parse(compensated(robot_text("moby")).replace("gain = 2.0", "gain = 1.0").replace("1.57", "0.1"), "moby")
+    settings = Settings({}, build(config).law)
+    for value in (setting.high, setting.low):
         assert settings.set(setting.name, value) is None
         assert settings.value(setting) == value
     for value in (setting.low - 1e-6, setting.high + 1e-6, float("nan"), float("inf")):
         words = settings.set(setting.name, value)
         assert words is not None
         assert f"{setting.low:g} to {setting.high:g} {setting.unit}" in words
-        assert settings.value(setting) == setting.high
+        assert settings.value(setting) == setting.low
 
 
 def test_what_is_refused_and_in_which_words() -> None:
@@ -69,7 +72,8 @@ def test_what_is_refused_and_in_which_words() -> None:
     ("lines", "words"),
     [
         ("speed_override = 0.04", "settings: speed_override = 0.04: must be 0.05 to 1 of limits.velocity"),
-        ("colour = 1.0", "settings: 'colour': must be one of speed_override"),
+        ("colour = 1.0", "settings: 'colour': must be one of speed_override, compensation_gain, compensation_region"),
+        ("compensation_gain = 2.0", "settings: compensation_gain: is said in the section of the robot that has it"),
     ],
 )
 def test_the_robot_file_names_what_it_is_at_the_start(lines: str, words: str) -> None:
@@ -168,3 +172,64 @@ def test_it_is_in_the_snapshot(name: str) -> None:
     ask(world, "speed_override", 0.2)
     world.run(0.5, FAST[name])
     assert goes_on_byte_for_byte(world.records, world.config, every=5) > 30
+
+
+def pulled_world() -> World:
+    world = World("moby", edit=compensated, joint_angles=PULLED)
+    world.start()
+    world.run(2.0, Twist(0.0, 1.0, 0.0))
+    return world
+
+
+def test_gain_and_region_of_the_compensation_are_set_while_it_drives() -> None:
+    """A gain of 1 freezes an error, 0 lets the chassis flip; the wheels are told no step of it."""
+    world = pulled_world()
+    assert [setting.name for setting in world.engine._settings.describe()] == [
+        *("speed_override", "compensation_gain", "compensation_region")
+    ]
+    assert ask(world, "compensation_gain", 0.0).ok
+    before = world.last.trace.wheel_setpoints
+    for _ in range(1500):
+        world.cycle(commands=[world.command(Twist(0.1, 1.0, 0.0))])
+        now = world.last.trace.wheel_setpoints
+        assert all(abs((a or 0.0) - (b or 0.0)) < 0.5 for a, b in zip(before, now, strict=True))
+        before = now
+    assert abs(world.last.trace.chassis[0] or 0.0) < 0.1  # pushed
+
+
+def test_what_does_not_go_together_is_refused_and_stays_as_it_was() -> None:
+    world = pulled_world()
+    assert ask(world, "compensation_gain", 3.0).reason == ("gain 3 with a region of 1.57 rad: allowed up to 0.7854 rad")
+    assert ask(world, "compensation_region", 0.7).ok
+    assert ask(world, "compensation_gain", 3.0).ok
+    assert ask(world, "compensation_region", 0.8).reason == (
+        "gain 3 with a region of 0.8 rad: allowed up to 0.7854 rad"
+    )
+    law = world.engine._law
+    assert dict(law.settings) == {"compensation_gain": 3.0, "compensation_region": 0.7}
+
+
+def test_a_robot_without_compensation_has_no_such_settings() -> None:
+    for name in NAMES:
+        world = World(name)
+        world.run(0.1)
+        assert ask(world, "compensation_gain", 2.0).reason == (
+            "setting = 'compensation_gain': must be one of speed_override"
+        )
+
+
+def test_a_drive_with_changed_gains_goes_on_from_a_snapshot_byte_for_byte() -> None:
+    world = pulled_world()
+    assert ask(world, "compensation_gain", 1.5).ok
+    world.run(1.0, Twist(0.3, 0.9, 0.4))
+    assert goes_on_byte_for_byte(world.records, world.config) > 2
+
+
+def test_the_rate_of_a_path_that_the_commander_tells_is_taken() -> None:
+    """On a circle of 0.5 m: gamma_goal = pi - asin(d1 omega/c) with omega as told, 30 degrees from straight."""
+    world = pulled_world()
+    told = world.command(Twist(0.0, 1.0, 0.0))._replace(path_rate=2.0)
+    world.cycle(commands=[told])
+    assert world.last.trace.chassis[1] == pytest.approx(3.14159265 - 0.52359878, abs=0.02)
+    world.cycle(commands=[world.command(Twist(0.0, 1.0, 0.0))])
+    assert world.last.trace.chassis[1] == pytest.approx(3.14159265, abs=0.02)
