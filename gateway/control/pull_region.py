@@ -122,29 +122,30 @@ def _region(cosine: float) -> Region:
 
 
 def _flip_way(gamma: float, error: float, tightness: float, axle_offset: float) -> float | None:
-    """Until cos gamma = 0, of d gamma/ds = (sigma - sin gamma)/d1 with sigma = d1 over the turn radius, signed.
+    """Until cos gamma = 0, of d gamma/ds = (sigma - sin gamma)/d1 with sigma = sin p = d1 over the radius, signed.
 
-    With sigma = sin p, sin((gamma - pi + p)/2)/sin((gamma - p)/2) grows by e^(cos p) every d1: exact, and on a straight
-    path the tan(gamma/2) law of Eq. 20 (science 1.3; the curved path ours). Tighter than d1 there is no balance, and
-    2/r atan((sigma tan(gamma/2) - 1)/r), r^2 = sigma^2 - 1, grows by 1 every d1.
+    sin(e/2)/cos(e/2 - p) grows by e^(cos p) every d1, and is 1 or -1 in the end: exact, and on a straight path the
+    tan(gamma/2) law of Eq. 20 (science 1.3; the curved path ours).
     """
     if abs(wrapped(gamma - pi)) >= 0.5 * pi:
         return None
-    gamma = gamma if gamma > 0.0 else gamma + 2.0 * pi
-    if tightness < 0.0:  # its mirror image
-        gamma, error, tightness = 2.0 * pi - gamma, -error, -tightness
-    if tightness >= 1.0 - _NEARLY:
-        sigma = max(tightness, 1.0 + _NEARLY)
-        return axle_offset * max(0.0, _turned(1.5 * pi, sigma) - _turned(gamma, sigma))
-    push = arcsine(tightness)
-    now, across = _ratio(gamma, push), _ratio(1.5 * pi if error > 0.0 else 0.5 * pi, push)
-    if now == 0.0 or error == 0.0:
+    if abs(tightness) >= 1.0 - _NEARLY:
+        return axle_offset * _tight_way(gamma if tightness > 0.0 else -gamma, abs(tightness))
+    sine, cosine = sin_cos(0.5 * error)
+    if sine == 0.0:
         return None  # in balance
-    return axle_offset * max(0.0, logarithm(abs(across / now))) / sin_cos(push)[1]
+    slowness = sqrt((1.0 - tightness) * (1.0 + tightness))
+    return axle_offset * max(0.0, logarithm(abs((cosine * slowness + sine * tightness) / sine))) / slowness
 
 
-def _ratio(gamma: float, push: float) -> float:
-    return sin_cos(0.5 * (gamma - pi + push))[0] / sin_cos(0.5 * (gamma - push))[0]
+def _tight_way(gamma: float, tightness: float) -> float:
+    """Until gamma = 3 pi/2, in units of d1, turning tighter than d1 to the left: there is no balance.
+
+    2/r atan((sigma tan(gamma/2) - 1)/r), r^2 = sigma^2 - 1, grows by 1 every d1.
+    """
+    sigma = max(tightness, 1.0 + _NEARLY)
+    begin = gamma if gamma > 0.0 else gamma + 2.0 * pi
+    return max(0.0, _turned(1.5 * pi, sigma) - _turned(begin, sigma))
 
 
 def _turned(gamma: float, sigma: float) -> float:
