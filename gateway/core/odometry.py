@@ -32,7 +32,8 @@ _SMALL_ANGLE: Final = 0.01  # rad; below it the series are exact but for the las
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
 # Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
 _FIRST_VARIANCE: Final = 1e-6  # m^2, m^2, rad^2
-_FIRST_COVARIANCE: Final[Covariance] = (_FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE)
+# Not final: mypyc leaves a final tuple of floats unset.
+_FIRST_COVARIANCE: Covariance = (_FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE, 0.0, 0.0, 0.0, _FIRST_VARIANCE)
 
 
 def advance(pose: Pose, way: Displacement) -> Pose:
