@@ -28,6 +28,13 @@ from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES
 from drivers.odrive.tables import AxisState, Control
 
+# Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
+_SILENT: Final = MotorState.SILENT
+_FAULT: Final = MotorState.FAULT
+_OPERATIONAL: Final = MotorState.OPERATIONAL
+_IDLE: Final = MotorState.IDLE
+_STARTING: Final = MotorState.STARTING
+
 NODES: Final = range(63)  # 0x3F is the address of controllers that have none yet
 NODE_MASK: Final = 0x7FF & ~tables.COMMAND_MASK
 HEARTBEAT_RATE_HZ: Final = 10.0  # firmware default
@@ -198,11 +205,11 @@ def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
 
 def _state(axis: Axis, now_ns: int) -> MotorState:
     if now_ns >= axis.heartbeat_until_ns or now_ns >= axis.measured_until_ns:
-        return MotorState.SILENT
+        return _SILENT
     if axis.fault is not None:
-        return MotorState.FAULT
+        return _FAULT
     if axis.step is Step.ACTIVE:
-        return MotorState.OPERATIONAL
+        return _OPERATIONAL
     if axis.step is Step.READY and axis.control is None and axis.axis_state == AxisState.IDLE:
-        return MotorState.IDLE
-    return MotorState.STARTING
+        return _IDLE
+    return _STARTING

@@ -18,6 +18,10 @@ from drivers.twins import CODE as ID_TWIN
 from gateway.core import detectors
 from gateway.core.detectors import Detector, Limits, Sample
 
+# Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
+_OPERATIONAL: Final = MotorState.OPERATIONAL
+_SILENT: Final = MotorState.SILENT
+
 RETURN_GRACE_NS: Final = 150_000_000  # for a motor to be heard again once its bus is back
 
 
@@ -139,7 +143,7 @@ class HealthMonitor:
         for index, motor in enumerate(feedback):
             if index in self._away and self._is_away(index, motor, now_ns):
                 continue
-            if motor.state is MotorState.OPERATIONAL:
+            if motor.state is _OPERATIONAL:
                 if energised:
                     self._obeyed.add(index)
                 fault = self._detected(index, samples[index]) or self._blamed(index, backwards)
@@ -155,7 +159,7 @@ class HealthMonitor:
 
     def _is_away(self, index: int, motor: MotorFeedback, now_ns: int) -> bool:
         """Whether the motor is still to be waited for, and not to be judged."""
-        back = motor.state is not MotorState.SILENT
+        back = motor.state is not _SILENT
         waited = now_ns - self._away[index]
         if waited == 0 or (not back and waited < RETURN_GRACE_NS):
             self._begin(index)
@@ -168,7 +172,7 @@ class HealthMonitor:
         name = self._names[index]
         if motor.fault is not None:
             return Fault(TOLD.get(motor.fault.code, FaultKind.MOTOR), name, motor.fault.text, motor.fault.latched)
-        if motor.state is MotorState.SILENT:
+        if motor.state is _SILENT:
             age = "never heard" if motor.age_ns is None else f"silent for {motor.age_ns * 1e-9:.2f} s"
             return Fault(FaultKind.SILENT, name, motor.silence or age, latched=False)
         if energised and index in self._obeyed and index not in self._lost:

@@ -120,7 +120,7 @@ class ReplyOnlyDriver:
 
     def receive(self, frame: CanFrame) -> bool:
         motor, values = self._reply(frame)
-        if motor is None or values is None or frame.received_ns is None:
+        if motor is None or values is None or frame.received_ns is None or frame.fd:
             return False
         fault, motor.position, motor.velocity = values
         motor.heard_ns, motor.unanswered_ns = frame.received_ns, None

@@ -80,7 +80,7 @@ def test_a_frame_goes_to_the_first_driver_of_its_bus_that_takes_it() -> None:
 def test_measurements_are_those_of_the_output_and_unknown_while_silent() -> None:
     motors, drivers = robot()
     assert (motors.setpoints, motors.feedback) == ((None,) * 3, (SILENT,) * 3)
-    assert motors.measure(7, 0.5) == (7, 0.5, *([(None,) * 3] * 4), (), None, False)
+    assert motors.measure(7, 0.5) == (7, 0.5, *([(None,) * 3] * 4), (), None, False, None, None, ())
     drivers[0].motors = [MEASURED]
     drivers[1].motors = [MEASURED._replace(velocity=1.0)]
     found = motors.measure(0, 0.1)
