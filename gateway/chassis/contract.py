@@ -53,7 +53,10 @@ class LoopLimit(NamedTuple):
 
 
 class ChassisChannels(NamedTuple):
-    """Numbers that only this kind of chassis has, in the order in which its law tells them: names, unit and plot."""
+    """Numbers that only this kind of chassis has, in the order in which its law tells them: names, unit and plot.
+
+    Without an entity they are not plotted, only told by `replay trace` and `watch --channels`.
+    """
 
     entity: str
     names: tuple[str, ...]

@@ -87,7 +87,7 @@ class OffsetDifferentialRobot(Section):
         ChassisChannels(
             "angles", ("gamma", "gamma_goal", "gamma_error", "correction"), "rad", "Chassis to motion [rad]"
         ),
-        ChassisChannels("flip", ("flip_way", "flip_time"), "m, s", "Until the chassis flips [m, s]"),
+        ChassisChannels("", ("flip_way", "flip_time"), "m, s", ""),
     )
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
     AXES: ClassVar[tuple[str, ...]] = PLANAR

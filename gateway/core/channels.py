@@ -108,14 +108,19 @@ UNPLOTTED: Final = (
 def channels_of(config: RobotConfig) -> tuple[Channel, ...]:
     """Those that this robot has and that are recorded for people: of every robot, and of its kind of chassis."""
     having = owners(config)
-    found = [channel for channel in CHANNELS if having[channel.owner]]
+    every = (*CHANNELS, *_chassis_channels(config))
+    return tuple([channel for channel in every if channel.entity and having[channel.owner]])
+
+
+def _chassis_channels(config: RobotConfig) -> list[Channel]:
+    found: list[Channel] = []
     first = 0
     for group in config.robot.CHANNELS:
         end = first + len(group.names)
-        read = partial(_of_chassis, first, end)
-        found.append(Channel(f"chassis/{group.entity}", group.names, group.unit, group.plot, read))
+        entity = group.entity and f"chassis/{group.entity}"
+        found.append(Channel(entity, group.names, group.unit, group.plot, partial(_of_chassis, first, end)))
         first = end
-    return tuple(found)
+    return found
 
 
 def _of_chassis(first: int, end: int, trace: Trace) -> Numbers | None:
@@ -140,7 +145,7 @@ class Layout:
 
 def layout_of(config: RobotConfig) -> Layout:
     """Every channel of this robot, those included that are not plotted."""
-    return Layout(owners(config), (*channels_of(config), *UNPLOTTED))
+    return Layout(owners(config), (*CHANNELS, *_chassis_channels(config), *UNPLOTTED))
 
 
 def entities(channels: Sequence[Channel]) -> dict[str, list[Channel]]:

@@ -315,5 +315,5 @@ def status_row(status: Status) -> Row:
     named["motors"] = [motor._asdict() for motor in status.motors]
     named["ability"] = status.ability._asdict()
     named["sensors"] = [sensor._asdict() for sensor in status.sensors]
-    named["settings"] = [setting._asdict() for setting in status.settings]
+    named["settings"] = {setting.name: setting.value for setting in status.settings}  # their ranges never change
     return (msgspec.json.encode(named).decode(),)

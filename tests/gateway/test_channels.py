@@ -7,7 +7,7 @@ from gateway.types import Trace
 from tests.world import World
 
 MOBY = World("moby").config
-ALL = (*CHANNELS, *channels_of(MOBY), *UNPLOTTED)
+ALL = (*channels_of(MOBY), *CHANNELS, *UNPLOTTED)
 
 
 def trace(name: str) -> Trace:
@@ -63,6 +63,6 @@ def test_plots_show_entities_that_exist_and_a_unit_is_told() -> None:
     channels = channels_of(MOBY)
     assert {entity for shown in plots(channels).values() for entity in shown} <= set(entities(channels))
     assert next(iter(plots(channels))) == "Wheel speeds [rad/s]"
-    assert set(entities(channels)) - set(entities(CHANNELS)) == {"chassis/angles", "chassis/flip"}
+    assert set(entities(channels)) - set(entities(CHANNELS)) == {"chassis/angles"}
     assert not {"heading", "attitude", "range"} & set(entities(channels))  # it has no such sensors
     assert all(channel.unit and f"[{channel.unit}]" in (channel.plot or f"[{channel.unit}]") for channel in channels)
