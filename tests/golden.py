@@ -24,6 +24,7 @@ from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
+from replay.sim.plants.offset_dynamics import SWIVEL, OffsetDynamics, OffsetParameters
 
 Vector = Mapping[str, Any]
 _TO_PAPER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (vx, vy, R w) of the paper from ours
@@ -216,6 +217,18 @@ def _trapezoid(given: Vector) -> dict[str, Any]:
     return {"v": rate * left, "s": 3.0 * quarter * top - 0.5 * rate * left * left}
 
 
+def _inverse_dynamics(given: Vector) -> dict[str, Any]:
+    keys = ("R", "d1", "d2", "d3", "d4", "Rc", "mc", "xB", "Ic", "mw", "Iwax", "Iwrad", "mp", "Ip", "mcf", "lam", "Icf")
+    robot = OffsetDynamics(OffsetParameters(*[given[key] for key in (*keys, "mcw", "Icwax", "Icwrad")]))
+    place = [0.0, 0.0, -given["theta_c"], 0.0, 0.0, 0.0, given["beta"], 0.0]
+    found = robot.inverse(place, (given["xdot"], given["ydot"], 0.0), (given["xddot"], given["yddot"], 0.0))
+    return {
+        **dict(zip(("tauL", "tauR", "tauPhi"), found.torques, strict=True)),
+        **dict(zip(("ground_force_x", "ground_force_y"), found.ground, strict=True)),
+        "beta_ddot": float(found.acceleration[SWIVEL]),
+    }
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -228,6 +241,7 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.gamma_err_compensated": _gamma_err_compensated,
     "offset.step_theta": _step_theta,
     "profile.trapezoid_quarter": _trapezoid,
+    "moby.inverse_dynamics": _inverse_dynamics,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,
