@@ -43,6 +43,7 @@ from drivers.contract import (
     ReceiveFilter,
     Traffic,
 )
+from drivers.records import maker
 from drivers.twins import TwinWatch, twin_fault
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -69,6 +70,7 @@ REST: Final = 0.002  # of max_speed: below it nothing brakes
 MIN_REST_RPM: Final = 2  # the speed is told in whole rpm, so that of 1 has no sure sign
 FULL_BRAKING_NS: Final = 5_000_000  # a current held for longer could turn a wheel in the air the other way round
 
+_made: Final = maker(MotorFeedback)
 _TORQUE: Final = CommandKind.TORQUE
 _COAST: Final = CommandKind.COAST
 _COMMAND: Final = Struct(">4h")  # current raw of four motors
@@ -191,15 +193,18 @@ class _Motor:
         state = _OPERATIONAL if self.commanded else _IDLE
         if self.fault is not None:
             state = _FAULT
-        return MotorFeedback(
-            state if now_ns < self.heard_until_ns else _SILENT,
-            self.total_ticks * RAD_PER_TICK,
-            self.speed_rpm * RAD_S_PER_RPM,
-            self.current_raw / self.raw_per_torque,
-            None,
-            self.temperature_c,
-            self.fault,
-            max(0, now_ns - self.heard_ns),
+        return _made(
+            (
+                state if now_ns < self.heard_until_ns else _SILENT,
+                self.total_ticks * RAD_PER_TICK,
+                self.speed_rpm * RAD_S_PER_RPM,
+                self.current_raw / self.raw_per_torque,
+                None,
+                self.temperature_c,
+                self.fault,
+                max(0, now_ns - self.heard_ns),
+                None,
+            )
         )
 
 

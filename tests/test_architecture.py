@@ -26,7 +26,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers": {"drivers/odrive"},
     "drivers/odrive": {"drivers"},
     "ground": {"drivers"},
-    "gateway/kinematics": {"ground"},
+    "gateway/kinematics": {"drivers", "ground"},
     "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},

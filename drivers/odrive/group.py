@@ -27,7 +27,9 @@ from drivers.odrive.axis import Axis, Step
 from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES
 from drivers.odrive.tables import AxisState, Control
+from drivers.records import maker
 
+_made: Final = maker(MotorFeedback)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _SILENT: Final = MotorState.SILENT
 _FAULT: Final = MotorState.FAULT
@@ -190,16 +192,18 @@ def _accept(axis: Axis, command: MotorCommand) -> None:
 
 
 def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
-    return MotorFeedback(
-        _state(axis, now_ns),
-        axis.position,
-        axis.velocity,
-        axis.torque,
-        axis.voltage,
-        axis.temperature_c,
-        axis.fault,
-        None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
-        axis.missing(now_ns),
+    return _made(
+        (
+            _state(axis, now_ns),
+            axis.position,
+            axis.velocity,
+            axis.torque,
+            axis.voltage,
+            axis.temperature_c,
+            axis.fault,
+            None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
+            axis.missing(now_ns),
+        )
     )
 
 

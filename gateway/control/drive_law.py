@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from drivers.contract import CommandKind
+from drivers.records import maker
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
 from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
@@ -50,6 +51,7 @@ class JointCommand(NamedTuple):
 
 
 COAST: Final = JointCommand(CommandKind.COAST)
+_joint_command: Final = maker(JointCommand)
 BRAKE: Final = JointCommand(CommandKind.BRAKE)
 
 
@@ -199,4 +201,4 @@ class SpeedLaw:
 
 
 def _velocities(speeds: Sequence[float]) -> tuple[JointCommand, ...]:
-    return tuple([JointCommand(_VELOCITY, speed) for speed in speeds])
+    return tuple([_joint_command((_VELOCITY, speed, 0.0, None)) for speed in speeds])

@@ -3,8 +3,10 @@
 from typing import Final, NamedTuple
 
 from drivers.contract import CommandKind, MotorCommand
+from drivers.records import maker
 from gateway.control.drive_law import JointCommand
 
+_command: Final = maker(MotorCommand)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
 _TORQUE: Final = CommandKind.TORQUE
@@ -32,7 +34,7 @@ class Transmission(NamedTuple):
                 self.motor_torque(feed_forward) if feed_forward != 0.0 else 0.0
             )  # never -0.0, which is other bytes
             bound = None if limit is None else abs(self.motor_torque(limit))
-            return MotorCommand(kind, self.motor_speed(value), helping, bound)
+            return _command((kind, self.motor_speed(value), helping, bound))
         if kind is _TORQUE:
             bounded = value if limit is None else min(max(value, -limit), limit)
             return MotorCommand(kind, self.motor_torque(bounded))

@@ -5,11 +5,14 @@ from functools import partial
 from typing import Final
 
 from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from drivers.records import maker
 from gateway.control.drive_law import JointCommand, Measured
 from gateway.core.assembly import Robot
 from gateway.core.detectors import Sample
 from gateway.types import MotorStatus
 
+_sample: Final = maker(Sample)
+_command: Final = maker(MotorCommand)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _SILENT: Final = MotorState.SILENT
 _OPERATIONAL: Final = MotorState.OPERATIONAL
@@ -88,15 +91,17 @@ class Motors:
         """What the detectors look at: the last measurement against the setpoint it answers to."""
         fresh_ns = measured.dt * 1e9
         return [
-            Sample(
-                self.setpoints[index],
-                measured.speeds[index],
-                measured.positions[index],
-                measured.torques[index],
-                age_ns is not None and age_ns <= fresh_ns,
-                driving,
-                measured.dt,
-                partial(expected, index),
+            _sample(
+                (
+                    self.setpoints[index],
+                    measured.speeds[index],
+                    measured.positions[index],
+                    measured.torques[index],
+                    age_ns is not None and age_ns <= fresh_ns,
+                    driving,
+                    measured.dt,
+                    partial(expected, index),
+                )
             )
             for index, age_ns in enumerate(measured.ages_ns)
         ]
@@ -167,7 +172,7 @@ class Motors:
             if kind is _VELOCITY or kind is _BRAKE:
                 speed, dt = measured.speeds[index], measured.dt
                 torque = loop.torque(command.value, speed, dt, feed_forward=command.feed_forward, limit=command.limit)
-                return MotorCommand(_TORQUE, gear.motor_torque(torque))
+                return _command((_TORQUE, gear.motor_torque(torque), 0.0, None))
             loop.reset()
         if kind is _COAST:
             return COAST

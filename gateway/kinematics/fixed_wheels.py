@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from math import sqrt
 from typing import Final, NamedTuple, cast
 
+from drivers.records import maker
 from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix, Vector, condition, kernel, product, pseudo_inverse, transpose
@@ -18,6 +19,8 @@ from gateway.kinematics.reach import ReachTable
 from gateway.types import PLANAR, Rates, Twist
 
 _TURN: Final = PLANAR.index("wz")  # the axis in rad/s
+_twist: Final = maker(Twist)
+_estimate: Final = maker(Estimate)
 _INVERSE_TOLERANCE: Final = 1e-9
 
 
@@ -75,7 +78,7 @@ class FixedWheels:
             wz += z * speed
         more = tuple([dot(row, known) for row in solution.more]) if solution.more else ()
         if not solution.checks:
-            return Estimate(Twist(vx, vy, wz), None, None, more)
+            return _estimate((_twist((vx, vy, wz)), None, None, more))
         square = 0.0
         residuals: list[float] = []
         for check, parts in solution.checks:
@@ -83,7 +86,7 @@ class FixedWheels:
             square += unexplained * unexplained
             falling = [part * unexplained for part in parts]
             residuals = [a + b for a, b in zip(residuals, falling, strict=True)] if residuals else falling
-        return Estimate(Twist(vx, vy, wz), sqrt(square), self._placed(residuals, speeds), more)
+        return _estimate((_twist((vx, vy, wz)), sqrt(square), self._placed(residuals, speeds), more))
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three independent wheels reach every direction; the others roll along."""

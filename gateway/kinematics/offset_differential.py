@@ -12,12 +12,15 @@ The wheel rows are written once, in `_rows`; the forward direction solves the sa
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from drivers.records import maker
 from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.reach import ReachTable
 from gateway.types import PLANAR, Rates, Twist
 
+_twist: Final = maker(Twist)
+_estimate: Final = maker(Estimate)
 PLATFORM: Final = 2  # place of the joint; the wheels are 0 (left) and 1 (right)
 MIN_AXLE_OFFSET: Final = 1e-3  # m; singular at zero (science: det J = R^2 d1 / d2)
 
@@ -77,7 +80,7 @@ class OffsetDifferentialKinematics:
         determinant = lx * ry - ly * rx
         vx = (left * ry - right * ly) / determinant
         vy = (right * lx - left * rx) / determinant
-        return Estimate(Twist(vx, vy, joint - px * vx - py * vy), None)
+        return _estimate((_twist((vx, vy, joint - px * vx - py * vy)), None, None, ()))
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three motors for three axes: every one is needed."""
