@@ -184,6 +184,7 @@ def test_what_is_left_out_never_changes_after_construction(owner: str) -> None:
     assert not OWNERS[owner] & changed
 
 
+@pytest.mark.pure_python  # it reads the source
 @pytest.mark.parametrize("name", sorted(OWNERS))
 def test_what_a_class_of_state_holds_itself_is_declared_so(name: str) -> None:
     """Compiled, anything else counts as state of each object, and the snapshot would not fit the one of pure Python."""
