@@ -16,7 +16,9 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import angle_of, arcsine, logarithm, sin_cos
 
 LEAST_SPEED: Final = 1e-3  # m/s; a slower motion has no direction to speak of (science 1.3)
+_NEARLY: Final = 1e-6  # of a turn as tight as d1, where the formulas of both sides lose their digits
 _NEUTRAL: Final = 1e-12  # |cos gamma| up to which steering is neutral: the chassis turns about the axle's middle
+_BEYOND_NEUTRAL: Final = 0.05  # |cos gamma|, by which another region must be entered to be told
 
 
 class Region(Enum):
@@ -61,7 +63,7 @@ def wrapped(angle: float) -> float:
 
 
 def goal_of(path_rate: float, speed: float, axle_offset: float) -> tuple[float, bool]:
-    """gamma_goal = pi - asin(d1 omega/c) (Eq. 19), and whether it had to be clamped at a radius of d1."""
+    """gamma_goal = pi - asin(d1 omega/c) (Eq. 22), and whether it had to be clamped at a radius of d1."""
     share = axle_offset * path_rate / speed
     if -1.0 <= share <= 1.0:
         return pi - arcsine(share), False
@@ -81,7 +83,7 @@ def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset
     gamma = angle_of(across, along)
     goal, saturated = goal_of(path_rate, speed, axle_offset)
     error = wrapped(gamma - goal)
-    way = _flip_way(error, axle_offset)
+    way = _flip_way(gamma, error, axle_offset * path_rate / speed, axle_offset)
     return Pull(
         gamma=gamma,
         region=_region(along / speed),
@@ -92,6 +94,19 @@ def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset
         flip_way=way,
         flip_time=None if way is None else way / speed,
     )
+
+
+def settled(before: Region | None, pull: Pull | None) -> Region | None:
+    """The region to be told, which noise does not toggle: push and pull hold until 3 degrees beyond neutral steering.
+
+    `before`: what was told the cycle before. None at rest.
+    """
+    if pull is None:
+        return None
+    _, along = sin_cos(pull.gamma)
+    if before is None or pull.region is before or abs(along) > _BEYOND_NEUTRAL:
+        return pull.region
+    return before
 
 
 def flip_speeds(speed: float, *, wheel_radius: float, axle_offset: float, track: float) -> FlipSpeeds:
@@ -106,10 +121,34 @@ def _region(cosine: float) -> Region:
     return Region.PUSH if cosine > 0.0 else Region.PULL
 
 
-def _flip_way(error: float, axle_offset: float) -> float | None:
-    """Until |e| = pi/2, by tan(e/2) = tan(e0/2) exp(s/d1): exact on a straight path (science 1.3)."""
-    size = abs(error)
-    if size >= 0.5 * pi or size == 0.0:
+def _flip_way(gamma: float, error: float, tightness: float, axle_offset: float) -> float | None:
+    """Until cos gamma = 0, of d gamma/ds = (sigma - sin gamma)/d1 with sigma = sin p = d1 over the radius, signed.
+
+    sin(e/2)/cos(e/2 - p) grows by e^(cos p) every d1, and is 1 or -1 in the end: exact, and on a straight path the
+    tan(gamma/2) law of Eq. 20 (science 1.3; the curved path ours).
+    """
+    if abs(wrapped(gamma - pi)) >= 0.5 * pi:
         return None
-    sine, cosine = sin_cos(0.5 * size)
-    return -axle_offset * logarithm(sine / cosine)
+    if abs(tightness) >= 1.0 - _NEARLY:
+        return axle_offset * _tight_way(gamma if tightness > 0.0 else -gamma, abs(tightness))
+    sine, cosine = sin_cos(0.5 * error)
+    if sine == 0.0:
+        return None  # in balance
+    slowness = sqrt((1.0 - tightness) * (1.0 + tightness))
+    return axle_offset * max(0.0, logarithm(abs((cosine * slowness + sine * tightness) / sine))) / slowness
+
+
+def _tight_way(gamma: float, tightness: float) -> float:
+    """Until gamma = 3 pi/2, in units of d1, turning tighter than d1 to the left: there is no balance.
+
+    2/r atan((sigma tan(gamma/2) - 1)/r), r^2 = sigma^2 - 1, grows by 1 every d1.
+    """
+    sigma = max(tightness, 1.0 + _NEARLY)
+    begin = gamma if gamma > 0.0 else gamma + 2.0 * pi
+    return max(0.0, _turned(1.5 * pi, sigma) - _turned(begin, sigma))
+
+
+def _turned(gamma: float, sigma: float) -> float:
+    r = sqrt((sigma - 1.0) * (sigma + 1.0))
+    sine, cosine = sin_cos(0.5 * gamma)
+    return 2.0 / r * angle_of(sigma * sine - cosine, r * cosine)

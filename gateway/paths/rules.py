@@ -14,6 +14,7 @@ from gateway.paths.path import Path, Piece
 from gateway.types import Pose
 
 START_TOLERANCE: Final = 0.05  # rad, of the chassis from its balance at the start
+_LEAST_STRETCH: Final = 6.0  # axle offsets; with less than 3.3 merging and compensation swing against each other
 _ROUNDING: Final = 1.0 + 1e-9
 
 
@@ -48,6 +49,16 @@ def start_problem(path: Path, chassis_heading: float, axle_offset: float) -> str
     return (
         f"start: {error:+.3f} rad from the direction in which the chassis is pulled: must be within {START_TOLERANCE:g}"
     )
+
+
+def least_stretch(axle_offset: float, blind_way: float) -> float:
+    """Shortest stretch over which a pulled robot may merge, m; `blind_way`: m from plan to plan.
+
+    A change of curvature makes an error of gamma, and correcting that shifts the robot: y' = psi - k e,
+    e' = -(k - 1) e/d1 + d1 kappa'. With kappa' of the follower planning all the time the loop is stable from 3.3 d1 of
+    stretch on for every k from 1 to 4 (Routh; source: ours); with 6 d1 half of the decay is left at k = 2.
+    """
+    return _LEAST_STRETCH * axle_offset + 2.0 * blind_way
 
 
 def direction_on_axle(chassis_heading: float, curvature: float, axle_offset: float) -> float:

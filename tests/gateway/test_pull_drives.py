@@ -1,4 +1,4 @@
-"""Drives of the paper in the pull region, kinematic: M15, M16, M18 and M19 of science section 6."""
+"""Drives of the paper in the pull region, kinematic: M1, M2, M15, M16, M18 and M19 of science section 6."""
 
 import math
 
@@ -6,12 +6,57 @@ import pytest
 
 from gateway.control.compensation import Compensation, RegionAt
 from gateway.control.pull_region import Region
+from gateway.kinematics.offset_differential import OffsetDifferentialKinematics
 from gateway.paths.path import Path, Piece
-from gateway.types import Pose
+from gateway.types import Pose, Twist
 from tests.pulled import PulledRobot
 
 D1 = 0.145  # m, of the real robot
 RIGHT_ANGLE = (RegionAt(0.0, math.pi / 2),)
+
+
+OFFSET = OffsetDifferentialKinematics(wheel_radius=0.1, axle_offset=0.25, track=0.4)
+
+
+@pytest.mark.parametrize("joint", [-3.0, -1.5708, -0.4, 0.0, 1.1, 2.5])
+def test_both_directions_are_each_others_inverse_m1(joint: float) -> None:
+    places = [None, None, joint]
+    for twist in (Twist(1.0, 0.0, 0.0), Twist(0.0, 1.0, 0.0), Twist(0.0, 0.0, 1.0), Twist(-0.3, 0.7, 2.0)):
+        speeds = OFFSET.wheel_speeds(twist, places)
+        assert speeds is not None
+        estimate = OFFSET.twist(speeds, places)
+        assert estimate is not None
+        assert tuple(estimate.twist) == pytest.approx(tuple(twist), abs=1e-12)
+
+
+def test_a_pushed_chassis_turns_into_its_motion_m2() -> None:
+    """From 0.5 rad, over a way of d1: tan(gamma/2) falls by e; by Runge's method over what the joint is told."""
+
+    def rate(heading: float) -> float:
+        speeds = OFFSET.wheel_speeds(Twist(1.0, 0.0, 0.0), [None, None, -heading])
+        assert speeds is not None
+        return -speeds[2]
+
+    heading, h = -0.5, 0.25 / 400
+    for _ in range(400):
+        one = rate(heading)
+        two = rate(heading + 0.5 * h * one)
+        three = rate(heading + 0.5 * h * two)
+        heading += h / 6.0 * (one + 2.0 * two + 2.0 * three + rate(heading + h * three))
+    assert math.tan(-heading / 2.0) / math.tan(0.25) == pytest.approx(math.exp(-1.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.30, True), (0.39, True), (0.42, False), (0.54, False)])
+def test_with_an_angle_one_cycle_old_the_loop_swings_from_ln_1_5_on(share: float, settles: bool) -> None:
+    """k = 2, `share` = c h/d1: 0.4055 is the limit, though period and age together are still within 1.0986."""
+    robot, correct, h, old = PulledRobot(D1, 0.02), compensation(2.0), share * D1, 0.02
+    errors = []
+    for _ in range(400):
+        vx, vy, _ = correct.turn(-1.0, 0.0, joint=-old, path_rate=0.0, dt=h)
+        old = robot.heading
+        robot.move(vx, vy, h)
+        errors.append(abs(robot.heading))
+    assert (max(errors[-20:]) < 1e-3) is settles
 
 
 def compensation(gain: float) -> Compensation:

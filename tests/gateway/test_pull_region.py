@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, longest_period, region_at
-from gateway.control.pull_region import Region, examine, flip_speeds, goal_of
+from gateway.control.pull_region import Region, examine, flip_speeds, goal_of, settled
 
 D1, C = 0.25, 1.2  # m, m/s
 EVERYWHERE = (RegionAt(0.0, math.pi),)
@@ -91,6 +91,45 @@ def test_the_way_until_it_flips() -> None:
     pushed = examine(C, 0.0, angle=0.1, path_rate=0.0, axle_offset=D1)
     assert pushed is not None
     assert pushed.flip_way is None
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.floats(-1.5, 1.5).filter(lambda e: abs(e) > 1e-3), st.floats(-2.0, 2.0))
+def test_the_way_until_it_flips_on_a_path_that_turns(off_pull: float, sigma: float) -> None:
+    """`sigma`: d1 over the radius. Integrated: d gamma/ds = (sigma - sin gamma)/d1 until cos gamma = 0."""
+    gamma = math.pi + off_pull
+    pull = examine(math.cos(gamma), math.sin(gamma), angle=0.0, path_rate=sigma / D1, axle_offset=D1)
+    assert pull is not None
+    if abs(sigma) < 1.0 and abs(pull.error) < 1e-3:
+        return  # longer than it is worth to integrate
+    assert pull.flip_way is not None
+    h, way = 1e-3, 0.0
+    while math.cos(gamma) < 0.0:
+        half = gamma + 0.5 * h * (sigma - math.sin(gamma))
+        before, gamma, way = gamma, gamma + h * (sigma - math.sin(half)), way + h
+        assert way < 2e3
+    way -= h * math.cos(gamma) / (math.cos(gamma) - math.cos(before))
+    assert pull.flip_way == pytest.approx(way * D1, rel=2e-3, abs=2e-3 * D1)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3, -0.9, 0.9999999, 1.0, -1.0, 1.0000001, 3.0])
+@pytest.mark.parametrize("ulps", range(-4, 5))
+def test_in_balance_and_next_to_it_no_flip_is_a_number_that_is_none(sigma: float, ulps: int) -> None:
+    goal = math.pi - math.asin(max(-1.0, min(1.0, sigma)))
+    gamma = goal + ulps * 4.5e-16
+    pull = examine(math.cos(gamma), math.sin(gamma), angle=0.0, path_rate=sigma / D1, axle_offset=D1)
+    assert pull is not None
+    assert pull.flip_way is None or 0.0 <= pull.flip_way < 5e4 * D1
+
+
+def test_noise_about_neutral_steering_toggles_nothing() -> None:
+    told: list[Region | None] = [None]
+    for degrees in (80.0, 89.9, 90.1, 89.5, 92.0, 88.0, 93.5, 90.0, 89.0, 91.0, 88.0, 86.0, 95.0):
+        gamma = math.radians(degrees)
+        pull = examine(math.cos(gamma), math.sin(gamma), angle=0.0, path_rate=0.0, axle_offset=D1)
+        told.append(settled(told[-1], pull))
+    assert [region.name if region else None for region in told[1:]] == [*["PUSH"] * 6, *["PULL"] * 5, "PUSH", "PULL"]
+    assert settled(Region.PULL, None) is None
 
 
 def test_speeds_of_a_flip_are_the_extremes_over_gamma() -> None:
