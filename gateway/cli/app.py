@@ -24,6 +24,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "doctor": "doctor",
     "drive": "drive",
     "send": "operate",
+    "path": "path",
     "watch": "operate",
     "stop": "operate",
     "reference": "reference",

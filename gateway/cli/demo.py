@@ -20,11 +20,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.cli.operate import COMMAND_RATE_HZ, rest, start
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.cli.replay import show, verify_with_progress
 from gateway.cli.viewer import view
 from gateway.client import Client
+from gateway.commander import COMMAND_RATE_HZ, rest, start
 from gateway.config import load
 from gateway.edges.messages import OdometryMessage, StateMessage, TruthMessage
 from gateway.types import ZERO_TWIST, Twist

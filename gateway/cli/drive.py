@@ -23,17 +23,16 @@ from rich.live import Live
 from rich.text import Text
 
 from gateway.cli.operate import (
-    COMMAND_RATE_HZ,
     EXIT_REFUSED,
     Connect,
     RobotName,
     is_refusal,
     mode_words,
-    objection,
     open_client,
 )
 from gateway.cli.output import complain, console
 from gateway.client import Client
+from gateway.commander import COMMAND_RATE_HZ, objection
 from gateway.edges.messages import ResetAnswer
 from gateway.types import ZERO_TWIST, Level, Twist
 

@@ -10,20 +10,16 @@ from rich.table import Table
 from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
+from gateway.commander import REST_TIMEOUT_S, objection, rest, start, stream
 from gateway.config import ConfigError, load
 from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
-from gateway.types import ZERO_TWIST, Mode, Pose, Twist
+from gateway.types import ZERO_TWIST, Pose, Twist
 
 EXIT_NO_ROBOT = 69
 EXIT_REFUSED = 1
-COMMAND_RATE_HZ = 50.0
 ALIVE_TIMEOUT_S = 5.0
-START_TIMEOUT_S = 8.0
-REST_TIMEOUT_S = 10.0
 STOP_TIMEOUT_S = 3.0
 STALE_S = 0.5  # a state that old says nothing of now
-DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
-ENDED = frozenset({Mode.ESTOP, Mode.FAULT})  # left by a person, not by more commands
 _EVENTS_SHOWN = 8
 
 RobotName = Annotated[str, typer.Argument(help="Name of the robot, or its robot file.")]
@@ -100,22 +96,6 @@ def _send(client: Client, source: str, twist: Twist, seconds: float) -> str | No
     return reason
 
 
-def objection(client: Client, source: str) -> str | None:
-    """Why this source does not drive the robot now; None: it does."""
-    state = client.state()
-    if not client.alive:
-        return "the robot is gone"
-    if state is None:
-        return "no state received"
-    status = state.status
-    reasons = {one.name: one.reason for one in status.sources}
-    if source not in reasons:
-        return f"no source {source}: the sources are {', '.join(reasons)}"
-    if status.mode not in DRIVING:
-        return f"mode {status.mode.value}" + (f": {status.reason}" if status.reason else "")
-    return None if status.winner == source else f"source {source}: {reasons[source]}"
-
-
 def mode_words(client: Client) -> str:
     """The robot's mode and its reason; that they are unknown where the last state is old or the robot gone."""
     state, age = client.state(), client.state_age()
@@ -132,52 +112,6 @@ def mode_words(client: Client) -> str:
 def is_refusal(event: EventMessage, source: str) -> bool:
     """A command of this source was not taken, also because another sender holds the source."""
     return event.code.startswith("refused_") and event.text.startswith(f"{source}: ")
-
-
-def start(client: Client, source: str, timeout: float = START_TIMEOUT_S) -> bool:
-    """Zero commands until the robot drives; True when it does, False also as soon as it is clear that it will not."""
-    deadline = time.monotonic() + timeout
-    before = client.state()
-    while time.monotonic() < deadline:
-        client.send_twist(0.0, 0.0, 0.0, source=source)
-        state = client.state()
-        if state is not None and state is not before:
-            if objection(client, source) is None:
-                return True
-            known = {one.name for one in state.status.sources}
-            if source not in known or state.status.mode is Mode.ESTOP:
-                return False
-        time.sleep(1.0 / COMMAND_RATE_HZ)
-    return False
-
-
-def stream(client: Client, source: str, vx: float, vy: float, wz: float, *, seconds: float) -> str | None:
-    """One twist at the command rate for so long, or until the robot stops for good; why it does not drive at the end.
-
-    A source that was outranked or late for a moment goes on.
-    """
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        state = client.state()
-        if not client.alive or (state is not None and state.status.mode in ENDED):
-            break
-        client.send_twist(vx, vy, wz, source=source)
-        time.sleep(1.0 / COMMAND_RATE_HZ)
-    return objection(client, source)
-
-
-def rest(client: Client, source: str) -> bool:
-    """Zero commands until the robot stands; True when it does."""
-    deadline = time.monotonic() + REST_TIMEOUT_S
-    sent = client.state()
-    while time.monotonic() < deadline:
-        client.send_twist(0.0, 0.0, 0.0, source=source)
-        state = client.state()
-        still = state is not None and state is not sent and state.status.standing
-        if still and state is not None and not state.status.limits_active:
-            return True
-        time.sleep(1.0 / COMMAND_RATE_HZ)
-    return False
 
 
 def stop(

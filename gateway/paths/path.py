@@ -91,6 +91,13 @@ class Path:
         """The largest curvature, 1/m."""
         return max([max(abs(piece.before), abs(piece.after)) for piece in self.pieces], default=0.0)
 
+    @property
+    def smallest_radius(self) -> float | None:
+        """m; 0.0 with a corner, None of a straight line."""
+        if any(piece.corner != 0.0 for piece in self.pieces):
+            return 0.0
+        return 1.0 / self.sharpest if self.sharpest > 0.0 else None
+
     def at(self, way: float) -> PathPoint:
         """The point after this way, m; the start before it."""
         way = max(way, 0.0)

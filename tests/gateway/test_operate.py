@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.cli.drive import KEYS, QUIT_KEYS, RELEASE_S, RESET_KEY, STOP_KEY, Keys
-from gateway.cli.operate import STALE_S, is_refusal, mode_words, objection, start, stream
+from gateway.cli.operate import STALE_S, is_refusal, mode_words
 from gateway.client import Client
+from gateway.commander import objection, start, stream
 from gateway.edges.messages import EventMessage, StateMessage
 from gateway.types import ZERO_TWIST, Level, Mode, SourceStatus, Twist
 from tests.gateway.test_messages import STATUS
