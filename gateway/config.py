@@ -75,6 +75,12 @@ class Limits(Section):
         """The limits of the body by key."""
         return {"velocity": self.velocity, "acceleration": self.acceleration, "jerk": self.jerk}
 
+    def motors_stop(self) -> float:
+        """Longest time, s, that a motor needs from its top speed to rest within its own acceleration; 0.0 without."""
+        return max(
+            (self.motor_speed[name] / most for name, most in (self.motor_acceleration or {}).items()), default=0.0
+        )
+
     def as_stopping(self) -> dict[str, Rates]:
         """What the time and the way to rest follow from."""
         axes = (*PLANAR, *sorted(self.velocity.__pydantic_extra__))

@@ -380,4 +380,4 @@ class Service:
 
 
 def _stopping_ns(config: RobotConfig) -> int:
-    return round(1e9 * stopping_time(**config.limits.as_stopping()))
+    return round(1e9 * (stopping_time(**config.limits.as_stopping()) + config.limits.motors_stop()))

@@ -133,6 +133,8 @@ def rests_in_time(drive: Drive, config: RobotConfig) -> Iterator[str]:
         acceleration=limits.acceleration.as_twist(),
         jerk=limits.jerk.as_twist(),
     )
+    if limits.motor_acceleration is not None:  # the setpoint at rest, what the wheels are told may still be on its way
+        time_to_stop += max(limits.motor_speed[name] / most for name, most in limits.motor_acceleration.items())
     last = max((now.t for now in drive if now.inputs.commands), default=0.0)
     longest = max(source.timeout for source in config.commands.source)
     due = last + longest + time_to_stop + DWELL_S + FOLLOWING_S

@@ -93,12 +93,15 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         if bus.load > LOAD_REFUSAL
     ]
     stopping = config.limits.as_stopping()
-    stop_s, stop_m = stopping_time(**stopping), stopping_distance(**stopping)
+    late = config.limits.motors_stop()  # where the motors follow slowly they are later than the setpoint at rest
+    stop_s = stopping_time(**stopping) + late
+    stop_m = stopping_distance(**stopping) + sqrt(limit[0] * limit[0] + limit[1] * limit[1]) * late
     if stop_s > STOPPING_REFUSAL_S:
         overloaded.append(
             f"limits: a stop from top speed takes {stop_s:.1f} s and {stop_m:.1f} m; allowed up to "
             f"{STOPPING_REFUSAL_S:g} s: raise limits.acceleration or limits.jerk, or lower limits.velocity, "
             f"most of all those of {_slowest(config)}"
+            + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
         )
     overloaded += _wild_loops(config, robot)
     loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=feedback_delay(config))

@@ -207,3 +207,24 @@ def test_feedback_too_old_for_compensation_is_refused_in_words() -> None:
     edits = {"axle_offset = 0.25": "axle_offset = 0.02", "feedback_rate = 250.0": "feedback_rate = 20.0"}
     with pytest.raises(ConfigError, match=r"no rate is enough, the feedback of the motors is too old"):
         examine(robot(edits, compensation=True), "moby")
+
+
+def test_motors_that_follow_slowly_make_a_stop_longer_and_too_slowly_are_refused() -> None:
+    """From 22 and 7 rad/s by 40 and 15 rad/s^2: 0.55 s and 0.47 s more, at 1.2 m/s each way."""
+    alone, limited = (examine(robot(compensation=False, limits=limits), "moby") for limits in (False, True))
+    assert limited.stopping_time_s == pytest.approx(alone.stopping_time_s + 22.0 / 40.0)
+    assert limited.stopping_distance_m == pytest.approx(alone.stopping_distance_m + 1.2 * 2.0**0.5 * 22.0 / 40.0)
+    crawling = robot({"left = 40.0": "left = 1.0"}, compensation=False, limits=True)
+    with pytest.raises(ConfigError, match=r"24\.5 s .*the motors alone need 22\.0 s of it: raise limits\.motor_acc"):
+        examine(crawling, "moby")
+
+
+@pytest.mark.parametrize("most", [10.0, 40.0])
+def test_it_rests_within_the_time_that_is_told(most: float) -> None:
+    edits = {"left = 40.0, right = 40.0, platform = 15.0": f"left = {most}, right = {most}, platform = {most}"}
+    config = robot(edits, compensation=False, limits=True)
+    moments = driven(config, command(0.6, 0.0, 1.2), {"t": 5.0, "silence": "teleop"}, seconds=11.0)
+    assert max(map(abs, moments[1200].truth.twist)) > 1.0
+    due = 5.0 + 0.3 + examine(config, "moby").stopping_time_s + 0.25
+    rest = next(one.t for one in moments if one.t > 5.5 and one.outputs.mode is Mode.IDLE)
+    assert rest < due
