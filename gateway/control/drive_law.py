@@ -119,6 +119,10 @@ class DriveLaw(Protocol):
         """Whether a robot at rest may be let go: not one that would fall. Asked in every mode, shutdown included."""
         ...
 
+    def forget_told(self) -> None:
+        """The joints were let go since they were told anything: what they are told next does not go on from it."""
+        ...
+
 
 TWISTS: Final = Features()
 
@@ -181,6 +185,9 @@ class SpeedLaw:
     def may_release(self, measured: Measured) -> bool:
         """It stands by itself."""
         return True
+
+    def forget_told(self) -> None:
+        """It goes by the setpoint alone."""
 
     def angles_ahead(self, measured: Measured) -> Sequence[float | None]:
         """Angles of the steered joints as they will be when the motors turn as commanded: a period from now."""

@@ -113,6 +113,10 @@ class OffsetDifferentialLaw:
         """It stands by itself."""
         return self._speeds.may_release(measured)
 
+    def forget_told(self) -> None:
+        """No wheel is asked to go on from there."""
+        self._told = None
+
     def _corrected(
         self, vx: float, vy: float, angle: float | None, rate: float, dt: float
     ) -> tuple[float, float, Pull | None]:

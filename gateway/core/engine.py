@@ -440,6 +440,7 @@ class Engine:
             self._arbiter.dismiss(now_ns)
         if mode is _IDLE:
             self._energised = False
+            self._law.forget_told()  # at a robot that stands it may not have come to zero: a wall stops faster
             self._health.forgive()
         elif mode is _STARTING:
             self._energised = True
@@ -514,6 +515,7 @@ class Engine:
         share = self._motors.share_driven(measured, health.obeying) if self._unheard else None
         if share is not None:
             self._limiter.scale(share)
+            self._law.forget_told()
             self._unheard = False
 
     def _followed(self, health: Health) -> bool:

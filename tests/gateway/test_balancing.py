@@ -48,6 +48,9 @@ class Balance:
     def may_release(self, measured: Measured) -> bool:
         return not self.upright
 
+    def forget_told(self) -> None:
+        """Its torques follow from nothing."""
+
 
 class Robot:
     """omni4 with that law; its wheels sway as they do at rest."""

@@ -6,13 +6,15 @@ from itertools import pairwise
 
 import pytest
 
+from drivers.contract import MotorState
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.control.compensation import Compensation, RegionAt
 from gateway.core.examination import examine
-from gateway.types import Mode, Twist
+from gateway.types import ZERO_TWIST, BusEventKind, Mode, RequestKind, Twist
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
+from tests.gateway.test_engine_rules import Stand
 from tests.world import World, robot_text
 
 COMPENSATION = "[robot.compensation]\ngain = 2.0\nregion = 1.57\n\n[robot.body]"
@@ -228,3 +230,38 @@ def test_it_rests_within_the_time_that_is_told(most: float) -> None:
     due = 5.0 + 0.3 + examine(config, "moby").stopping_time_s + 0.25
     rest = next(one.t for one in moments if one.t > 5.5 and one.outputs.mode is Mode.IDLE)
     assert rest < due
+
+
+def slow_wheels(text: str) -> str:
+    return text.replace("[[bus]]", LIMITS.replace("40.0", "10.0"), 1)
+
+
+def test_a_robot_that_a_wall_has_stopped_starts_from_rest() -> None:
+    """Its setpoint came to rest faster than its wheels may: what is left of that is not driven at the next start."""
+    stand = Stand("moby", slow_wheels)
+    stand.drive(Twist(1.2, 0.0, 0.0), seconds=4.0)
+    assert stand.setpoints == pytest.approx((12.0, 12.0, 0.0))
+    stand.motors.measured = dict.fromkeys(range(3), 0.0)
+    stand.run(0.5)
+    assert stand.is_released()
+    assert stand.reply(RequestKind.RESET) is None
+    while not stand.is_in(Mode.DRIVE):
+        stand.cycle(ZERO_TWIST)
+        assert stand.setpoints in {(None, None, None), (0.0, 0.0, 0.0)}
+
+
+def test_wheels_that_come_back_with_their_bus_go_on_from_how_they_turn() -> None:
+    """Their controllers have braked them meanwhile, faster than the core may have asked for."""
+    stand = Stand("moby", slow_wheels)
+    stand.drive(Twist(1.2, 0.0, 0.0), seconds=4.0)
+    stand.run(0.5)
+    assert stand.is_in(Mode.STOPPING)
+    stand.motors.states[:] = [MotorState.SILENT] * 3
+    stand.cycle(bus=BusEventKind.DOWN)
+    stand.run(0.1)
+    stand.motors.states[:] = [MotorState.OPERATIONAL] * 3
+    stand.motors.measured = dict.fromkeys(range(2), 3.0)
+    stand.cycle(bus=BusEventKind.UP)
+    stand.run(0.02)
+    assert [speed for speed in stand.setpoints if speed is not None and speed > 3.1] == []
+    assert max(speed or 0.0 for speed in stand.setpoints) > 2.0
