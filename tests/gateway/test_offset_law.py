@@ -236,6 +236,7 @@ def slow_wheels(text: str) -> str:
     return text.replace("[[bus]]", LIMITS.replace("40.0", "10.0"), 1)
 
 
+@pytest.mark.pure_python  # another driver in place of that which the engine builds
 def test_a_robot_that_a_wall_has_stopped_starts_from_rest() -> None:
     """Its setpoint came to rest faster than its wheels may: what is left of that is not driven at the next start."""
     stand = Stand("moby", slow_wheels)
@@ -250,6 +251,7 @@ def test_a_robot_that_a_wall_has_stopped_starts_from_rest() -> None:
         assert stand.setpoints in {(None, None, None), (0.0, 0.0, 0.0)}
 
 
+@pytest.mark.pure_python  # another driver in place of that which the engine builds
 def test_wheels_that_come_back_with_their_bus_go_on_from_how_they_turn() -> None:
     """Their controllers have braked them meanwhile, faster than the core may have asked for."""
     stand = Stand("moby", slow_wheels)
