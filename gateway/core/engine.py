@@ -16,7 +16,7 @@ after `measure`, degraded driving inside the kinematics (fewer rows) and the lim
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.contract import CanFrame, MotorState
+from drivers.contract import CanFrame, MotorFeedback, MotorState
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
@@ -62,19 +62,18 @@ _BODY: Final = TwistFrame.BODY
 _DEGRADED: Final = Mode.DEGRADED
 _ESTOP: Final = Mode.ESTOP
 _OPERATIONAL: Final = MotorState.OPERATIONAL
+_SILENT: Final = MotorState.SILENT
 
 DRIVING: Final = frozenset({Mode.DRIVE, Mode.DEGRADED})
 HOLDING: Final = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
 ARMING_TIMEOUT_NS: Final = 3_000_000_000
-ANSWER_TIME_NS: Final = 3_000_000_000  # after start-up; only then is a motor that never answered one to drive without
+ANSWER_TIME_NS: Final = 3_000_000_000  # since anybody answered anew; only then is a silent motor one to drive without
 BRAKING: Final = frozenset({Mode.STOPPING, Mode.FAULT})
 DISMISSING: Final = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
 MAX_STEP_PERIODS: Final = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
 HELD: Final = 2  # the stop category that goes on holding at rest (IEC 60204-1)
 SLACK: Final = 0.1  # of top speed by which a braking setpoint may be ahead of the measured motion
 RETREAT: Final = 5.0  # top speeds per second at which it is taken back beyond that: no step, whatever was measured
-
-
 Numbers = Sequence[float | None]
 
 
@@ -114,7 +113,7 @@ class Engine:
         self._period = 1.0 / config.loop.rate
         self._stop_category = config.stop.category
         self._last_ns: int | None = None
-        self._first_ns: int | None = None
+        self._answered_ns: int | None = None  # the first cycle, and the last in which a silent motor was heard at rest
         self._mode = _IDLE
         self._mode_since_ns = 0
         self._energised = False  # motors were armed and have not been released since
@@ -216,7 +215,7 @@ class Engine:
     def _elapsed(self, now_ns: int) -> float:
         last_ns, self._last_ns = self._last_ns, now_ns
         if last_ns is None:
-            self._first_ns = now_ns
+            self._answered_ns = now_ns
             return self._period
         elapsed, longest = max(now_ns - last_ns, 0) * 1e-9, MAX_STEP_PERIODS * self._period
         if elapsed > longest:
@@ -237,7 +236,10 @@ class Engine:
         return inputs._replace(refusals=(*inputs.refusals, *refused)) if refused else inputs
 
     def _measure(self, now_ns: int, dt: float) -> Measured:
+        before = self._motors.feedback
         measured = self._motors.measure(now_ns, dt)
+        if self._mode is _IDLE and _appeared(before, self._motors.feedback):
+            self._answered_ns = now_ns
         angles = self._trust.angles(measured.positions)
         deltas, jumped = self._odometry.deltas(angles, measured.ages_ns, now_ns)
         self._trust.watch(angles, jumped, now_ns)
@@ -418,7 +420,8 @@ class Engine:
         self._enter(mode, now_ns)
 
     def _had_time_to_answer(self, now_ns: int) -> bool:
-        return self._first_ns is not None and now_ns - self._first_ns >= ANSWER_TIME_NS
+        """Whether a motor that is silent now is not just one that comes later than the others."""
+        return self._answered_ns is not None and now_ns - self._answered_ns >= ANSWER_TIME_NS
 
     def _rested(self, now_ns: int) -> bool:
         if self._energised:
@@ -608,6 +611,11 @@ class Engine:
             sensors=self._sensors.describe(inputs.now_ns),
             settings=self._settings.describe(),
         )
+
+
+def _appeared(before: Sequence[MotorFeedback], now: Sequence[MotorFeedback]) -> bool:
+    """Whether a motor that was silent is heard."""
+    return any([a.state is _SILENT and b.state is not _SILENT for a, b in zip(before, now, strict=True)])
 
 
 def _seconds(nanoseconds: int | None) -> float | None:

@@ -262,6 +262,35 @@ def test_a_motor_that_answers_late_is_waited_for_one_that_never_does_is_driven_w
     assert absent.is_in(Mode.DEGRADED)
 
 
+def test_motors_that_appear_one_after_the_other_are_waited_for_however_long_they_were_all_silent() -> None:
+    """Their supply comes on long after the service, under a commander that asks to start all the time."""
+    world = World("omni4")
+    motors = [world.bus.robot.devices[name] for name in world.config.robot.motor_names()]
+    for motor in motors:
+        motor.power_off()
+    world.run(5.0, ZERO_TWIST)
+    for motor in motors:
+        motor.power_on()
+        assert world.is_in(Mode.IDLE)
+        world.run(1.0, ZERO_TWIST)
+    assert world.is_in(Mode.DRIVE)
+    assert {mode for mode in (outputs.mode for _, outputs in world.records)} == {Mode.IDLE, Mode.STARTING, Mode.DRIVE}
+
+
+def test_after_the_last_one_has_appeared_it_is_not_waited_for_ever() -> None:
+    world = World("omni4")
+    motors = [world.bus.robot.devices[name] for name in world.config.robot.motor_names()]
+    for motor in motors:
+        motor.power_off()
+    world.run(5.0, ZERO_TWIST)
+    for motor in motors[:3]:
+        motor.power_on()
+    world.run(2.5, ZERO_TWIST)
+    assert world.is_in(Mode.IDLE)
+    world.run(1.5, ZERO_TWIST)
+    assert world.is_in(Mode.DEGRADED)
+
+
 @both
 def test_bus_loss_stops_and_comes_back_at_rest(name: str) -> None:
     world = moving(name)

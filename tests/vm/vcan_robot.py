@@ -203,11 +203,10 @@ class VcanRobot:
         return found
 
     def start(self, source: str = "teleop") -> StateMessage:
-        """Ready to drive; a latched fault is reset first. Not before all motors are heard: it would go without some."""
+        """Ready to drive; a latched fault is reset first."""
         reason = self.watch(lambda _: True).status.reason or ""
         if reason.endswith("needs a reset"):
             assert self.client.reset().ok, self.words()
-        self.watch(lambda state: not state.status.faults)
         return self.stream(ZERO, in_mode(Mode.DRIVE), source=source)
 
     def drive(self, twist: tuple[float, float, float] = GO, source: str = "teleop") -> StateMessage:
