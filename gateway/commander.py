@@ -188,11 +188,13 @@ def _follow(client: Client, drive: PathDrive, source: str, watch: Callable[[Orde
 
 
 def _chassis_heading(config: RobotConfig, state: StateMessage, odometry: OdometryMessage) -> float | None:
-    """Of the chassis below a platform, rad over the floor; None where there is none or its angle is not known."""
-    if config.robot.kind != "offset_differential":
+    """Of a trailing chassis, rad over the floor; None where there is none or its angle is not known."""
+    trailing = config.robot.trailing()
+    if trailing is None:
         return None
     channels = state.extras.get("channels")
-    joint = channels.get(f"position.{config.robot.platform}") if isinstance(channels, dict) else None
+    name = config.robot.motor_names()[trailing.joint]
+    joint = channels.get(f"position.{name}") if isinstance(channels, dict) else None
     return odometry.theta - joint if isinstance(joint, float) else None
 
 

@@ -64,6 +64,14 @@ class ChassisChannels(NamedTuple):
     plot: str
 
 
+class Trailing(NamedTuple):
+    """A body that a trailing chassis carries: by which joint, how far (m) ahead of the axle; `pulled`: kept so."""
+
+    joint: int  # its place
+    axle_offset: float
+    pulled: bool
+
+
 class LawParts(NamedTuple):
     """What a drive law is made of; per-motor tuples in chassis order."""
 
@@ -96,6 +104,10 @@ class Chassis(Protocol):
 
     def kinematics(self) -> Kinematics:
         """Its geometry. Raises GeometryError for one that cannot be driven."""
+        ...
+
+    def trailing(self) -> Trailing | None:
+        """How its chassis trails, which paths have to respect; None: every direction is one to it."""
         ...
 
     def law(self, parts: LawParts) -> DriveLaw:

@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Trailing
 from gateway.control.compensation import Compensation, RegionAt, largest_region, longest_period
 from gateway.control.drive_law import SpeedLaw
-from gateway.control.offset_law import OffsetDifferentialLaw
+from gateway.control.offset_law import Geometry, OffsetDifferentialLaw
 from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
@@ -116,6 +116,10 @@ class OffsetDifferentialRobot(Section):
             wheel_radius=self.wheel_radius, axle_offset=self.axle_offset, track=self.track, caster=caster
         )
 
+    def trailing(self) -> Trailing:
+        """By the platform joint, pulled where it is compensated."""
+        return Trailing(PLATFORM, self.axle_offset, pulled=self.compensation is not None)
+
     def law(self, parts: LawParts) -> OffsetDifferentialLaw:
         """Pulled where the robot file asks for it, and slow enough for a flip where the motors have limits."""
         given, limits = self.compensation, parts.accelerations
@@ -128,8 +132,7 @@ class OffsetDifferentialRobot(Section):
             )
         return OffsetDifferentialLaw(
             speeds,
-            joint=PLATFORM,
-            axle_offset=self.axle_offset,
+            geometry=Geometry(PLATFORM, self.wheel_radius, self.axle_offset, self.track),
             compensation=compensation,
             flip=None if limits is None else self._flip_limit(limits, parts.acceleration),
             accelerations=limits,

@@ -71,6 +71,9 @@ class OmniRobot(Section):
         """From the poses of the wheels."""
         return omni_kinematics([WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel])
 
+    def trailing(self) -> None:
+        """It does not."""
+
     def law(self, parts: LawParts) -> SpeedLaw:
         """Every wheel at its speed."""
         return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)

@@ -116,23 +116,13 @@ class Compensation:
         if pull is None:
             self.angle = 0.0
             return vx, vy, None
-        self._approach(self._wanted(pull, vx, vy), vx, vy, dt)
+        speed = sqrt(vx * vx + vy * vy)
+        most = self._authority * dt / speed
+        wanted = -self.gain * pull.error if abs(pull.error) <= region_at(self.regions, speed) else 0.0
+        self.angle += max(-most, min(most, wanted - self.angle))
         s, c = sin_cos(self.angle)
         return c * vx - s * vy, s * vx + c * vy, pull
 
     def release(self) -> None:
         """Correct nothing."""
         self.angle = 0.0
-
-    def _wanted(self, pull: Pull, vx: float, vy: float) -> float:
-        square = vx * vx + vy * vy
-        region = region_at(self.regions, _root(square))
-        return -self.gain * pull.error if abs(pull.error) <= region else 0.0
-
-    def _approach(self, wanted: float, vx: float, vy: float, dt: float) -> None:
-        most = self._authority * dt / _root(vx * vx + vy * vy)
-        self.angle += max(-most, min(most, wanted - self.angle))
-
-
-def _root(square: float) -> float:
-    return sqrt(square)

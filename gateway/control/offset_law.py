@@ -9,18 +9,29 @@ limits made it; what is driven of it goes back as `share`.
 
 from collections.abc import Callable, Mapping, Sequence
 from math import isinf, sqrt
-from typing import Final
+from typing import Final, NamedTuple
 
 from drivers.contract import CommandKind
 from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
-from gateway.control.pull_region import Pull, examine
+from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
 from gateway.types import ChassisState, Rates
 
 GAIN: Final = "compensation_gain"
 REGION: Final = "compensation_region"
+# Of the chassis in `state`: turn_radius in m; rad/s of the faster wheel and of the joint in the flip that would come.
+FACTS: Final = ("region", "saturated", "turn_radius", "flip_wheel_speed", "flip_joint_speed")
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
+
+
+class Geometry(NamedTuple):
+    """Place of the platform joint among the motors; lengths in m."""
+
+    joint: int
+    wheel_radius: float
+    axle_offset: float
+    track: float
 
 
 class OffsetDifferentialLaw:
@@ -30,26 +41,25 @@ class OffsetDifferentialLaw:
         self,
         speeds: SpeedLaw,
         *,
-        joint: int,
-        axle_offset: float,
+        geometry: Geometry,
         compensation: Compensation | None,
         flip: FlipLimit | None,
         accelerations: Sequence[float] | None,
         period: float,
         longest_period: Callable[[float], float],
     ) -> None:
-        """`joint`: place of the platform joint; `accelerations`: rad/s^2 of each motor, None: no limit of their own.
+        """`accelerations`: rad/s^2 of each motor, None: no limit of their own.
 
         `period`: s, of the loop; `longest_period`: s, with which a gain works at top speed.
         """
         self._speeds = speeds
-        self._joint = joint
-        self._axle_offset = axle_offset
+        self._geometry = geometry
         self._compensation = compensation
         self._flip = flip
         self._accelerations = None if accelerations is None else tuple(accelerations)
         self._period = period
         self._longest_period = longest_period
+        self._region: Region | None = None  # as it is told
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
 
@@ -90,13 +100,14 @@ class OffsetDifferentialLaw:
         vx, vy, wz = setpoint
         estimated = self._path_rate.of(vx, vy, wz, measured.dt)
         rate = estimated if path_rate is None else path_rate
-        angle = self._speeds.angles_ahead(measured)[self._joint]
+        angle = self._speeds.angles_ahead(measured)[self._geometry.joint]
         vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
         share = self._flip_share(vx, vy, angle, pull)
         wanted = (vx * share, vy * share, wz * share)
         motion = self._paced(self._speeds.motion(wanted, measured, braking=braking), measured.dt)
         limits = ("flip", *motion.limits) if share < 1.0 else motion.limits
-        return motion._replace(share=share * motion.share, limits=limits, chassis=self._state(pull))
+        state = self._state(pull, share * sqrt(vx * vx + vy * vy))
+        return Motion(motion.commands, share * motion.share, limits, state)
 
     def stop(self, measured: Measured) -> Motion:
         """Every joint braked."""
@@ -124,7 +135,7 @@ class OffsetDifferentialLaw:
             return self._compensation.turn(vx, vy, joint=angle, path_rate=rate, dt=dt)
         if angle is None:
             return vx, vy, None
-        return vx, vy, examine(vx, vy, angle=angle, path_rate=rate, axle_offset=self._axle_offset)
+        return vx, vy, examine(vx, vy, angle=angle, path_rate=rate, axle_offset=self._geometry.axle_offset)
 
     def _flip_share(self, vx: float, vy: float, angle: float | None, pull: Pull | None) -> float:
         """Of the speed at which the wheels can follow the flip that is coming; 1 where one is being held off."""
@@ -154,15 +165,23 @@ class OffsetDifferentialLaw:
         commands = tuple([JointCommand(CommandKind.VELOCITY, speed) for speed in self._told])
         return Motion(commands, motion.share * share, (*motion.limits, "motor_acceleration"))
 
-    def _state(self, pull: Pull | None) -> ChassisState:
+    def _state(self, pull: Pull | None, speed: float) -> ChassisState:
+        """What is told of it; at rest and at an unknown angle there is nothing to tell but the correction."""
+        self._region = settled(self._region, pull)
         turned = 0.0 if self._compensation is None else self._compensation.angle
-        if pull is None:
-            return ChassisState({"region": None, "saturated": None}, (None, None, None, turned, None, None))
-        radius = pull.turn_radius
+        if pull is None or self._region is None:
+            return ChassisState(dict.fromkeys(FACTS), (None, None, None, turned, None, None))
+        told = (self._region.value, pull.saturated, _finite(pull.turn_radius), *self._of_flip(pull, speed))
         return ChassisState(
-            {"region": pull.region.value, "saturated": pull.saturated, "turn_radius": _finite(radius)},
+            dict(zip(FACTS, told, strict=True)),
             (pull.gamma, pull.goal, pull.error, turned, pull.flip_way, pull.flip_time),
         )
+
+    def _of_flip(self, pull: Pull, speed: float) -> tuple[float | None, float | None]:
+        if pull.flip_way is None:
+            return None, None
+        _, radius, offset, track = self._geometry
+        return flip_speeds(speed, wheel_radius=radius, axle_offset=offset, track=track)
 
 
 def _finite(number: float | None) -> float | None:

@@ -59,7 +59,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
-        {"_accelerations", "_axle_offset", "_flip", "_joint", "_longest_period", "_period"}
+        {"_accelerations", "_flip", "_geometry", "_longest_period", "_period"}
     ),
     "gateway.control.compensation.Compensation": frozenset({"_authority", "_axle_offset"}),
     "gateway.control.compensation.PathRate": frozenset(),

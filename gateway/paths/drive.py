@@ -75,11 +75,13 @@ class Demands(NamedTuple):
 
 def demands_of(config: RobotConfig) -> Demands:
     """Of this robot."""
-    robot, velocity, acceleration = config.robot, config.limits.velocity, config.limits.acceleration
-    offset, pulled = None, False
-    if robot.kind == "offset_differential":
-        offset, pulled = robot.axle_offset, robot.compensation is not None
-    return Demands(offset, pulled, min(velocity.vx, velocity.vy), _BRISK * min(acceleration.vx, acceleration.vy))
+    velocity, acceleration, trailing = config.limits.velocity, config.limits.acceleration, config.robot.trailing()
+    return Demands(
+        axle_offset=None if trailing is None else trailing.axle_offset,
+        pulled=trailing is not None and trailing.pulled,
+        top_speed=min(velocity.vx, velocity.vy),
+        acceleration=_BRISK * min(acceleration.vx, acceleration.vy),
+    )
 
 
 def check(problems: Sequence[str], origin: str) -> None:

@@ -58,6 +58,9 @@ class FourAxes(Section):
         rows = [(1.0, tan(a), -y, tan(a) * side) for a, y, side in zip(ALPHAS, PLACES, SIDES, strict=True)]
         return FixedWheels(rows, (self.radius,) * 4, axes=self.AXES)
 
+    def trailing(self) -> None:
+        pass
+
     def law(self, parts: LawParts) -> SpeedLaw:
         return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
 

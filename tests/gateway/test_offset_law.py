@@ -9,6 +9,8 @@ import pytest
 from drivers.contract import MotorState
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.control.compensation import Compensation, RegionAt
+from gateway.control.drive_law import Measured
+from gateway.control.offset_law import OffsetDifferentialLaw
 from gateway.core.examination import examine
 from gateway.types import ZERO_TWIST, BusEventKind, Mode, RequestKind, Twist
 from replay.drive.moment import Moment
@@ -267,3 +269,26 @@ def test_wheels_that_come_back_with_their_bus_go_on_from_how_they_turn() -> None
     stand.run(0.02)
     assert [speed for speed in stand.setpoints if speed is not None and speed > 3.1] == []
     assert max(speed or 0.0 for speed in stand.setpoints) > 2.0
+
+
+def test_the_speeds_of_the_flip_that_would_come_are_in_its_state() -> None:
+    """Pulled with an error at 1.2 m/s: sqrt(1.64) x 12 rad/s of a wheel, 4.8 of the joint; pushed there is none."""
+    moments = driven(robot(compensation=False), command(0.6, 0.0, 1.2), push(3.0, 60.0), seconds=10.0)
+    told = [one.outputs.status.chassis for one in moments if one.outputs.status and one.t > 2.5]
+    pulled = next(facts for facts in told if facts["region"] == "pull" and facts["flip_wheel_speed"] is not None)
+    assert pulled["flip_wheel_speed"] == pytest.approx(12.0 * math.sqrt(1.64), rel=0.01)
+    assert pulled["flip_joint_speed"] == pytest.approx(4.8, rel=0.01)
+    assert told[-1]["region"] == "push"
+    assert told[-1]["flip_wheel_speed"] is None
+
+
+def test_the_region_that_is_told_is_not_toggled_across_the_motion() -> None:
+    """Driving across the chassis, a degree to and fro: `settled` keeps what was told."""
+    law = World("moby").engine._law
+    assert isinstance(law, OffsetDifferentialLaw)
+    told = []
+    for cycle in range(40):
+        angle = math.pi / 2 + math.radians((-1.0) ** cycle)
+        still = Measured(0, 0.004, (0.0,) * 3, (0.0, 0.0, angle), (None,) * 3, (0,) * 3, (0.0, 0.0, angle))
+        told.append(law.motion((1.0, 0.0, 0.0), still, braking=False).chassis.facts["region"])
+    assert len(set(told)) == 1
