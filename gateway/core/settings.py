@@ -55,33 +55,38 @@ def problems_of_file(given: Mapping[str, float]) -> list[str]:
 
 
 class Settings:
-    """The values now. One writer, the engine."""
+    """The values now. One writer, the engine. Those of the drive law are the law's, asked of it."""
 
     def __init__(self, given: Mapping[str, float], law: DriveLaw) -> None:
         self._law = law
-        self._values = {
+        self._own = {
             setting.name: given.get(setting.name, setting.default)
             for setting in SETTINGS.values()
             if setting.default is not None
-        } | dict(law.settings)
+        }
 
     def value(self, setting: Setting) -> float:
         """What it is now."""
-        return self._values[setting.name]
+        own = self._own.get(setting.name)
+        return self._law.settings[setting.name] if own is None else own
 
     def set(self, name: str | None, value: float | None) -> str | None:
         """Takes a new value; why not, if not."""
         setting = SETTINGS.get(name or "")
-        if setting is None or value is None or setting.name not in self._values:
-            return f"setting = {name!r}: must be one of {', '.join(self._values)}"
+        if setting is None or value is None or setting.name not in self._names():
+            return f"setting = {name!r}: must be one of {', '.join(self._names())}"
         refusal = setting.refusal(value)
-        if refusal is None and setting.name in self._law.settings:
-            refusal = self._law.set(setting.name, value)
-        if refusal is None:
-            self._values[setting.name] = value
-        return refusal
+        if refusal is not None:
+            return refusal
+        if setting.name not in self._own:
+            return self._law.set(setting.name, value)
+        self._own[setting.name] = value
+        return None
 
     def describe(self) -> tuple[SettingStatus, ...]:
         """All that this robot has."""
-        rows = [SETTINGS[name] for name in self._values]
+        rows = [SETTINGS[name] for name in self._names()]
         return tuple([SettingStatus(one.name, self.value(one), one.unit, one.low, one.high) for one in rows])
+
+    def _names(self) -> tuple[str, ...]:
+        return (*self._own, *self._law.settings)
