@@ -23,3 +23,12 @@ def test_nor_does_one_of_a_robot_that_may_limp(name: str, seed: int) -> None:
     config = parse(robot_text(name).replace("[limits]", limp, 1), name)
     found = drive(seed, config, can_brake=False).violations
     assert {law: broken[0] for law, broken in found.items() if broken} == {}
+
+
+@pytest.mark.parametrize("seed", range(8, 12))
+def test_nor_does_one_that_is_kept_pulled_by_motors_with_limits(seed: int) -> None:
+    text = robot_text("moby").replace("[robot.body]", "[robot.compensation]\nregion = 1.5\n\n[robot.body]", 1)
+    limits = "motor_acceleration = { left = 60.0, right = 60.0, platform = 25.0 }\n\n[[bus]]"
+    config = parse(text.replace("[[bus]]", limits, 1), "moby")
+    found = drive(seed, config, can_brake=False).violations
+    assert {law: broken[0] for law, broken in found.items() if broken} == {}

@@ -16,6 +16,9 @@ from tests.world import robot_text
 LIMP = '[degraded]\nmotor_lost = "limp"\nspeed = 0.3\n\n[limits]'
 
 
+BOTH = LIMP.replace("motor_lost", 'encoder_lost = "limp"\nmotor_lost')
+
+
 def limping(name: str, *edits: tuple[str, str]) -> RobotConfig:
     text = robot_text(name).replace("[limits]", LIMP, 1)
     for old, new in edits:
@@ -224,3 +227,23 @@ def test_a_frozen_encoder_spoils_neither_speed_nor_way_of_the_others() -> None:
             assert moment.outputs.trace.measured == pytest.approx(moment.truth.twist, abs=0.02)
     missed = [a - b for a, b in zip(moments[-1].outputs.trace.pose, moments[-1].truth.pose, strict=True)]
     assert missed == pytest.approx([0.0, 0.0, 0.0], abs=0.02)
+
+
+@pytest.mark.parametrize("fault", ["encoder_frozen", "cable_out", "power_off"])
+def test_nothing_limps_by_a_joint_angle_that_is_not_known(fault: str) -> None:
+    """Whatever the robot file lets it: a platform that tells nothing, or the same for ever, leaves no geometry."""
+    config = parse(robot_text("moby").replace("[limits]", BOTH, 1), "moby")
+    moments = driven(
+        config, command(1.0, 0.3, 0.3, 0.8), lost(2.0, "platform", fault), command(3.0, 0.3, -0.3, -0.8), seconds=7.0
+    )
+    assert Mode.FAULT in modes(moments)
+    assert moments[-1].outputs.mode is not Mode.DEGRADED
+    assert moments[-1].truth.twist[:2] == pytest.approx((0.0, 0.0), abs=0.02)
+
+
+def test_nothing_limps_that_does_not_see_how_it_moves() -> None:
+    """moby without a word from one wheel: its motion is not determined, so it comes to rest."""
+    config = parse(robot_text("moby").replace("[limits]", BOTH, 1), "moby")
+    moments = driven(config, command(1.0, 0.4, 0.0, 0.2), lost(2.0, "left", "cable_out"), seconds=8.0)
+    assert Mode.DEGRADED not in modes(moments)
+    assert Mode.FAULT in modes(moments)
