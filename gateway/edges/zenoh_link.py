@@ -147,10 +147,12 @@ class ZenohLink:
         return keys.key(self._robot, rest)
 
     def _publisher(self, name: str) -> zenoh.Publisher:
+        """What finds no room is dropped; events, which come once, have a queue of their own before all else."""
         return self._session.declare_publisher(
             self._key(name),
             encoding=zenoh.Encoding.APPLICATION_JSON,
             congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH if name == keys.EVENT else zenoh.Priority.DATA,
             express=name != keys.EVENT,
         )
 

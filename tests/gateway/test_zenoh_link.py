@@ -1,5 +1,6 @@
 """Two sessions on loopback: what drives, what is refused, what is answered, and what happens at the end."""
 
+import select
 import signal
 import socket
 import subprocess
@@ -766,6 +767,46 @@ def test_a_frozen_onlooker_holds_up_neither_the_loop_nor_the_end(link: ZenohLink
         assert slowest_s < 0.5
         process.kill()
         process.communicate(timeout=TIMEOUT_S)
+
+
+COUNTS = """
+def until(code):
+    found = []
+    while code not in found:
+        client.wait_for_state(lambda _: bool(client._events), 0.1)
+        found += [event.code for event in client.events()]
+    return found
+until("begin")
+print("begun", flush=True)
+print(len([code for code in until("end") if code == "one"]), flush=True)
+client.close()
+"""
+
+
+def test_an_onlooker_that_stalls_misses_states_and_no_event(link: ZenohLink, endpoint: str) -> None:
+    """20 MB of states that find no room in its sockets, and events between them: these come once."""
+
+    def tell(code: str) -> None:
+        link.publish(odometry=None, status=None, events=[Event(Level.INFO, code, "")], now_ns=0)
+        eventually(link._outbox.calls.empty)
+
+    with _process("", endpoint, COUNTS) as process:
+        assert process.stdout is not None
+        while not select.select([process.stdout], [], [], 0.05)[0]:
+            tell("begin")  # until its subscription is known
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGSTOP)
+        for _ in range(40):
+            for _ in range(10):
+                link.publish(odometry=None, status=STATUS, events=(), now_ns=0, extras={"ballast": "x" * 50_000})
+                eventually(link._outbox.calls.empty)
+            tell("one")
+        tell("end")
+        process.send_signal(signal.SIGCONT)
+        try:
+            assert process.communicate(timeout=TIMEOUT_S) == ("40\n", "")
+        finally:
+            process.kill()
 
 
 def _process(opening: str, endpoint: str, ending: str) -> subprocess.Popen[str]:
