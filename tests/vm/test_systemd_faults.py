@@ -125,8 +125,8 @@ def test_driving_goes_on_when_the_disk_is_full_and_recording_when_it_is_not(runn
     wait_for(lambda: recording(running)["error"] is None, "recording again")
     drive(running)
     assert main_pid() == pid
-    # Not their number: the session may have given up its own first segments, with an older gap in them. Nor a cycle from
-    # when the disk was found full: what is lost is the batch before that, and room may be back before the next.
+    # Not their number: the session may have given up its own first segments, with an older gap in them. Nor a cycle
+    # from when the disk was found full: what is lost is the batch before that, and room may be back before the next.
     wait_for(lambda: any(gap.last_cycle >= before for gap in open_session(newest_session()).gaps), "the gap is in it")
 
 
