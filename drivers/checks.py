@@ -7,6 +7,7 @@ from re import fullmatch
 from typing import Final, NamedTuple
 
 from drivers.contract import IdUse, MotorSpec, OptionValue
+from drivers.setpoint import MotorCommand
 
 MIN_FEEDBACK_TIMEOUT_NS: Final = 50_000_000
 FEEDBACK_TIMEOUT_PERIODS: Final = 5
@@ -65,6 +66,12 @@ def check_bounds(motor: MotorSpec, bounds: Iterable[Bound]) -> None:
     for key, value, low, high, unit, why in bounds:
         if not low <= value <= high:
             raise ValueError(f"motor {motor.name}: {key} = {value:.6g}: must be {_range(low, high, unit)}: {why}")
+
+
+def check_count(commands: Sequence[MotorCommand], motors: Sequence[object]) -> None:
+    """Raises ValueError unless there is one command for each motor."""
+    if len(commands) != len(motors):
+        raise ValueError(f"{len(commands)} commands: must be one for each of {len(motors)} motors")
 
 
 def check_options(motor: MotorSpec, known: Mapping[str, Option], *, of: str) -> None:

@@ -15,6 +15,8 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
+from drivers.setpoint import MotorCommand
+
 FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # bytes that a CAN FD frame can carry (ISO 11898-1:2015)
 
 
@@ -33,33 +35,6 @@ class CanFrame(NamedTuple):
     received_ns: int | None = None
     fd: bool = False
     bit_rate_switch: bool = False
-
-
-class CommandKind(Enum):
-    """The ways a motor can be asked to behave; which of them a controller knows is in its `Capabilities`."""
-
-    COAST = "coast"
-    BRAKE = "brake"
-    VELOCITY = "velocity"
-    TORQUE = "torque"
-    VOLTAGE = "voltage"
-
-
-class MotorCommand(NamedTuple):
-    """Setpoint of one motor: rad/s, N m or V at the motor shaft; 0.0 for coast and brake.
-
-    The other two are of a velocity only. `feed_forward`: N m at the shaft that the controller's speed loop adds;
-    `limit`: N m at the shaft that it may use at most, not negative (None: all that the motor has).
-    """
-
-    kind: CommandKind
-    value: float = 0.0
-    feed_forward: float = 0.0
-    limit: float | None = None
-
-
-COAST: Final = MotorCommand(CommandKind.COAST)
-BRAKE: Final = MotorCommand(CommandKind.BRAKE)
 
 
 class MotorState(Enum):

@@ -24,6 +24,7 @@ from drivers.checks import (
     FASTEST_FEEDBACK_HZ,
     Bound,
     check_bounds,
+    check_count,
     check_options,
     check_specs,
     feedback_timeout_ns,
@@ -32,11 +33,9 @@ from drivers.checks import (
 from drivers.contract import (
     CanFrame,
     Capabilities,
-    CommandKind,
     DecodedFrame,
     DriverFault,
     IdUse,
-    MotorCommand,
     MotorFeedback,
     MotorSpec,
     MotorState,
@@ -44,6 +43,7 @@ from drivers.contract import (
     Traffic,
 )
 from drivers.records import maker
+from drivers.setpoint import CommandKind, MotorCommand
 from drivers.twins import TwinWatch, twin_fault
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -75,6 +75,9 @@ _TORQUE: Final = CommandKind.TORQUE
 _COAST: Final = CommandKind.COAST
 _COMMAND: Final = Struct(">4h")  # current raw of four motors
 _FEEDBACK: Final = Struct(">HhhBx")  # angle ticks, speed rpm, current raw, temperature deg C (C610: nothing), unused
+_WHOLE: Final = 6755399441055744.0  # 1.5 * 2^52: floats there are whole numbers, so adding it rounds to the nearest one
+_FEEDBACK_SIZE: Final = 8
+_feedback: Final = _FEEDBACK.unpack_from
 _FEEDBACK_FIELDS: Final = ("angle_ticks", "speed_rpm", "current_raw", "temperature_c")
 
 
@@ -184,7 +187,7 @@ class _Motor:
 
     def _limited(self, wanted: float) -> int:
         limit = self.raw_limit
-        return limit if wanted >= limit else -limit if wanted <= -limit else round(wanted)
+        return limit if wanted >= limit else -limit if wanted <= -limit else _nearest(wanted)
 
     def feedback(self, now_ns: int) -> MotorFeedback:
         """Measurement and state."""
@@ -247,11 +250,13 @@ class DjiDriver:
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """The command frames; a motor that is not heard gets current 0."""
+        check_count(commands, self._motors)
         raws = [0] * len(IDS)
-        for motor, command in zip(self._motors, commands, strict=True):
-            kind, value, feed_forward, limit = command
+        for motor, command in zip(self._motors, commands):
+            kind, value = command.kind, command.value
             torque = kind is _TORQUE
-            if isnan(value) or not (torque or kind is _COAST) or feed_forward != 0.0 or limit is not None:
+            alone = command.feed_forward == 0.0 and command.limit is None
+            if isnan(value) or not (torque or kind is _COAST) or not alone:
                 raise ValueError(f"motor {motor.spec.name}: {command}: must be a torque in N m alone, or coast")
             motor.commanded = torque
             if torque and motor.trusted(now_ns):
@@ -334,9 +339,9 @@ class DjiDriver:
 
 def _feedback_values(data: bytes) -> tuple[int, int, int, int] | None:
     """Angle in ticks, speed in rpm, raw current, temperature; None for what no controller sends."""
-    if len(data) < _FEEDBACK.size:
+    if len(data) < _FEEDBACK_SIZE:
         return None
-    angle_ticks, speed_rpm, current_raw, temperature = _FEEDBACK.unpack_from(data)
+    angle_ticks, speed_rpm, current_raw, temperature = _feedback(data)
     return None if angle_ticks >= TICKS else (angle_ticks, speed_rpm, current_raw, temperature)
 
 
@@ -359,10 +364,15 @@ def _turn_bounds(motor: MotorSpec) -> list[Bound]:
     ]
 
 
+def _nearest(x: float) -> int:
+    """`round(x)` of what is far below 2^51, in a fraction of its time when compiled."""
+    return int((x + _WHOLE) - _WHOLE)
+
+
 def _moved_ticks(difference: int, expected: float) -> int:
     """The movement nearest to what the speed promises, among those that end at the angle seen.
 
     Without a gap the promise is small and this is the shortest way round. After one it is right as long as the mean
     speed of its two ends is within half a turn per gap of the true mean.
     """
-    return difference + TICKS * round((expected - difference) / TICKS)
+    return difference + TICKS * _nearest((expected - difference) / TICKS)

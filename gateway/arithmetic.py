@@ -129,7 +129,7 @@ def _of_slope(height: float, width: float) -> float:
 def dot(vector: Sequence[float], other: Sequence[float]) -> float:
     """The scalar product, summed from the first to the last."""
     total = 0.0
-    for one, two in zip(vector, other, strict=True):
+    for one, two in zip(vector, other):
         total += one * two
     return total
 

@@ -8,11 +8,12 @@ from struct import Struct
 from typing import Any, Final
 
 from drivers.checks import feedback_timeout_ns, measuring_hz
-from drivers.contract import CanFrame, CommandKind, DriverFault, MotorSpec
+from drivers.contract import CanFrame, DriverFault, MotorSpec
 from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
 from drivers.odrive.tables import AxisState, Control
 from drivers.odrive.watchdog import watchdog_of
+from drivers.setpoint import CommandKind
 from drivers.twins import CODE as ID_TWIN
 from drivers.twins import TwinWatch, twin_fault
 

@@ -8,14 +8,12 @@ from collections.abc import Callable, Sequence
 from math import isnan
 from typing import Any, ClassVar, Final
 
-from drivers.checks import check_specs, measuring_hz
+from drivers.checks import check_count, check_specs, measuring_hz
 from drivers.contract import (
     CanFrame,
     Capabilities,
-    CommandKind,
     DecodedFrame,
     IdUse,
-    MotorCommand,
     MotorFeedback,
     MotorSpec,
     MotorState,
@@ -28,6 +26,7 @@ from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES
 from drivers.odrive.tables import AxisState, Control
 from drivers.records import maker
+from drivers.setpoint import CommandKind, MotorCommand
 
 _made: Final = maker(MotorFeedback)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -105,9 +104,10 @@ class OdriveDriver:
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
         """Advance every axis towards its command; one setpoint per axis, and what bring-up needs."""
+        check_count(commands, self._axes)
         frames: list[CanFrame] = []
-        for axis, command in zip(self._axes, commands, strict=True):
-            kind, value, feed_forward, limit = command
+        for axis, command in zip(self._axes, commands):
+            kind, value, feed_forward, limit = command.kind, command.value, command.feed_forward, command.limit
             if kind is not axis.kind or isnan(value) or feed_forward != 0.0 or limit is not None:
                 _accept(axis, command)
             if (
@@ -182,7 +182,7 @@ class OdriveDriver:
 
 
 def _accept(axis: Axis, command: MotorCommand) -> None:
-    kind, value, feed_forward, limit = command
+    kind, value, feed_forward, limit = command.kind, command.value, command.feed_forward, command.limit
     helped = feed_forward != 0.0 and kind is not CommandKind.VELOCITY
     if isnan(value) or isnan(feed_forward) or helped or limit is not None or kind not in CONTROLS:
         allowed = "a velocity, also with feed_forward, or a torque, brake or coast; no limit"

@@ -10,8 +10,7 @@ and with what of the setpoint is really driven. Which joints may be commanded at
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
-from drivers.contract import CommandKind
-from drivers.records import maker
+from drivers.setpoint import CommandKind, Setpoint
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
 from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
@@ -37,21 +36,15 @@ class Measured(NamedTuple):
     ranges: tuple[float | None, ...] = ()  # m
 
 
-class JointCommand(NamedTuple):
+class JointCommand(Setpoint):
     """Setpoint of one joint at its output: rad/s, N m or V by kind; 0.0 for coast and brake.
 
     `feed_forward`: N m that a speed loop adds; `limit`: N m that it may use at most (None: what the joint can). Which
     of these a joint obeys is in its capabilities (`gateway.core.assembly.Robot`); a limit bounds a torque anywhere.
     """
 
-    kind: CommandKind
-    value: float = 0.0
-    feed_forward: float = 0.0
-    limit: float | None = None
-
 
 COAST: Final = JointCommand(CommandKind.COAST)
-_joint_command: Final = maker(JointCommand)
 BRAKE: Final = JointCommand(CommandKind.BRAKE)
 
 
@@ -208,4 +201,4 @@ class SpeedLaw:
 
 
 def _velocities(speeds: Sequence[float]) -> tuple[JointCommand, ...]:
-    return tuple([_joint_command((_VELOCITY, speed, 0.0, None)) for speed in speeds])
+    return tuple([JointCommand(_VELOCITY, speed) for speed in speeds])

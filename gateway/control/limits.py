@@ -34,11 +34,11 @@ def excess(vector: Rates, limits: Rates) -> float:
     if len(vector) == _UNROLLED:
         x, y, z = vector
         limit_x, limit_y, limit_z = limits
-        return max(abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z)
+        worst = max(abs(x) / limit_x, abs(y) / limit_y)  # of two: that of three is a call
+        return max(worst, abs(z) / limit_z)
     worst = 0.0
-    for value, limit in zip(vector, limits, strict=True):
-        share = abs(value) / limit
-        worst = max(worst, share)
+    for value, limit in zip(vector, limits):
+        worst = max(worst, abs(value) / limit)
     return worst
 
 

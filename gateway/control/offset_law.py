@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import isinf, sqrt
 from typing import Final, NamedTuple
 
-from drivers.contract import CommandKind
+from drivers.setpoint import CommandKind
 from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled

@@ -45,7 +45,7 @@ def pace(wanted: Sequence[float], before: Sequence[float], most: Sequence[float]
     that asks least of the wheels beyond what they can.
     """
     low, high = 0.0, 1.0
-    for speed, last, change in zip(wanted, before, most, strict=True):
+    for speed, last, change in zip(wanted, before, most):
         if abs(speed) <= _NOTHING * change:
             if abs(last) > change:
                 high = -inf
@@ -59,9 +59,7 @@ def pace(wanted: Sequence[float], before: Sequence[float], most: Sequence[float]
 
 def within(wanted: Sequence[float], before: Sequence[float], most: Sequence[float]) -> list[float]:
     """The wanted speeds, each as near as its wheel can come in this cycle."""
-    return [
-        max(last - change, min(last + change, speed)) for speed, last, change in zip(wanted, before, most, strict=True)
-    ]
+    return [max(last - change, min(last + change, speed)) for speed, last, change in zip(wanted, before, most)]
 
 
 def _least_strain(wanted: Sequence[float], before: Sequence[float], most: Sequence[float]) -> float:
@@ -69,7 +67,7 @@ def _least_strain(wanted: Sequence[float], before: Sequence[float], most: Sequen
     candidates = [0.0, 1.0]
     lines = [
         (sign * speed / change, -sign * last / change)
-        for speed, last, change in zip(wanted, before, most, strict=True)
+        for speed, last, change in zip(wanted, before, most)
         for sign in (1.0, -1.0)
     ]
     for at, (slope, start) in enumerate(lines):

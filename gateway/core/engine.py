@@ -14,6 +14,7 @@ after `measure`, degraded driving inside the kinematics (fewer rows) and the lim
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 from drivers.contract import CanFrame, MotorFeedback, MotorState
@@ -64,12 +65,14 @@ _ESTOP: Final = Mode.ESTOP
 _OPERATIONAL: Final = MotorState.OPERATIONAL
 _SILENT: Final = MotorState.SILENT
 
-DRIVING: Final = frozenset({Mode.DRIVE, Mode.DEGRADED})
-HOLDING: Final = frozenset({Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING})
+# Tuples: to look a member up by its hash, which is a function of Python, takes longer.
+DRIVING: Final = (Mode.DRIVE, Mode.DEGRADED)
+HOLDING: Final = (Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING)
 ARMING_TIMEOUT_NS: Final = 3_000_000_000
 ANSWER_TIME_NS: Final = 3_000_000_000  # since anybody answered anew; only then is a silent motor one to drive without
-BRAKING: Final = frozenset({Mode.STOPPING, Mode.FAULT})
-DISMISSING: Final = frozenset({Mode.IDLE, Mode.ESTOP, Mode.FAULT})  # on entering them every source needs a new zero
+BRAKING: Final = (Mode.STOPPING, Mode.FAULT)
+# On entering these every source needs a new zero.
+DISMISSING: Final = (Mode.IDLE, Mode.ESTOP, Mode.FAULT)
 MAX_STEP_PERIODS: Final = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
 HELD: Final = 2  # the stop category that goes on holding at rest (IEC 60204-1)
 SLACK: Final = 0.1  # of top speed by which a braking setpoint may be ahead of the measured motion
@@ -123,6 +126,7 @@ class Engine:
         self._buses_down: dict[str, str] = {}
         self._believable: tuple[bool, ...] = (True,) * len(robot.names)
         self._measured = self._motors.measure(0, self._period)  # nothing yet
+        self._expected_speeds = tuple(partial(self._expected_speed, index) for index in range(len(robot.names)))
         self._robot_file = snapshots.fingerprint(config)
         if state is not None:
             snapshots.put(self, self._robot_file, state)
@@ -289,10 +293,10 @@ class Engine:
         """Without those of wheels that are known to tell something wrong, as long as the others suffice."""
         if all(self._believable):
             return speeds, deltas
-        others = [speed if ok else None for speed, ok in zip(speeds, self._believable, strict=True)]
+        others = [speed if ok else None for speed, ok in zip(speeds, self._believable)]
         if self._kinematics.twist(others, angles) is None:
             return speeds, deltas
-        return others, [delta if ok else None for delta, ok in zip(deltas, self._believable, strict=True)]
+        return others, [delta if ok else None for delta, ok in zip(deltas, self._believable)]
 
     def _expected_speed(self, index: int) -> float | None:
         """Speed of one wheel as the other wheels have it, rad/s."""
@@ -310,7 +314,7 @@ class Engine:
         motors = self._motors
         return self._health.assess(
             motors.feedback,
-            motors.samples(measured, driving=self._mode in DRIVING, expected=self._expected_speed),
+            motors.samples(measured, driving=self._mode in DRIVING, expected=self._expected_speeds),
             others=self._other_faults(measured),
             out_of_reach=motors.on_buses(tuple(self._buses_down)) if self._buses_down else (),
             energised=self._energised,
@@ -525,7 +529,7 @@ class Engine:
         """Whether any motor obeys, as far as can be seen."""
         return any(
             obeying and feedback.state is _OPERATIONAL
-            for obeying, feedback in zip(health.obeying, self._motors.feedback, strict=True)
+            for obeying, feedback in zip(health.obeying, self._motors.feedback)
         )
 
     def _fall_back(self, measured: Rates, dt: float) -> None:
@@ -550,7 +554,7 @@ class Engine:
         may = [self._energised and ok for ok in self._may_be_commanded(health)]
         if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
             self._health.lose([index for index, ok in enumerate(may) if not ok])
-        told = [command if ok else COAST for command, ok in zip(motion.commands, may, strict=True)]
+        told = [command if ok else COAST for command, ok in zip(motion.commands, may)]
         return self._motors.command(told, measured)
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
@@ -615,7 +619,7 @@ class Engine:
 
 def _appeared(before: Sequence[MotorFeedback], now: Sequence[MotorFeedback]) -> bool:
     """Whether a motor that was silent is heard."""
-    return any([a.state is _SILENT and b.state is not _SILENT for a, b in zip(before, now, strict=True)])
+    return any([a.state is _SILENT and b.state is not _SILENT for a, b in zip(before, now)])
 
 
 def _seconds(nanoseconds: int | None) -> float | None:

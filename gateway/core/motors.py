@@ -1,18 +1,15 @@
 """All motors of the robot behind one face, in chassis order and at their outputs: drivers, gears, speed loops."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Final
 
-from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
-from drivers.records import maker
+from drivers.contract import CanFrame, MotorFeedback, MotorState
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from gateway.control.drive_law import JointCommand, Measured
 from gateway.core.assembly import Robot
 from gateway.core.detectors import Sample
 from gateway.types import MotorStatus
 
-_sample: Final = maker(Sample)
-_command: Final = maker(MotorCommand)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _SILENT: Final = MotorState.SILENT
 _OPERATIONAL: Final = MotorState.OPERATIONAL
@@ -58,7 +55,7 @@ class Motors:
         positions: list[float | None] = [None] * size
         torques: list[float | None] = [None] * size
         for group in self._robot.groups:
-            for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns), strict=True):
+            for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns)):
                 feedbacks[index] = feedback
                 if feedback.state is not _SILENT:
                     gear = self._robot.transmissions[index]
@@ -80,28 +77,31 @@ class Motors:
     def turning(self, measured: Measured) -> bool | None:
         """Whether any measured wheel turns; None: not one is measured."""
         known = None
-        for speed, limit in zip(measured.speeds, self._standstill, strict=True):
+        for speed, limit in zip(measured.speeds, self._standstill):
             if speed is not None:
                 if abs(speed) > limit:
                     return True
                 known = False
         return known
 
-    def samples(self, measured: Measured, *, driving: bool, expected: Callable[[int], float | None]) -> list[Sample]:
-        """What the detectors look at: the last measurement against the setpoint it answers to."""
+    def samples(
+        self, measured: Measured, *, driving: bool, expected: Sequence[Callable[[], float | None]]
+    ) -> list[Sample]:
+        """What the detectors look at: the last measurement against the setpoint it answers to.
+
+        `expected`: the speed of each as the other wheels have it, asked only where it matters.
+        """
         fresh_ns = measured.dt * 1e9
         return [
-            _sample(
-                (
-                    self.setpoints[index],
-                    measured.speeds[index],
-                    measured.positions[index],
-                    measured.torques[index],
-                    age_ns is not None and age_ns <= fresh_ns,
-                    driving,
-                    measured.dt,
-                    partial(expected, index),
-                )
+            Sample(
+                self.setpoints[index],
+                measured.speeds[index],
+                measured.positions[index],
+                measured.torques[index],
+                fresh=age_ns is not None and age_ns <= fresh_ns,
+                driving=driving,
+                dt=measured.dt,
+                expected=expected[index],
             )
             for index, age_ns in enumerate(measured.ages_ns)
         ]
@@ -110,7 +110,7 @@ class Motors:
         """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
         lag = 0.0
         for setpoint, speed, torque, limits in zip(
-            self.setpoints, measured.speeds, measured.torques, self._robot.limits, strict=True
+            self.setpoints, measured.speeds, measured.torques, self._robot.limits
         ):
             if setpoint is None or speed is None:
                 continue
@@ -139,7 +139,7 @@ class Motors:
         """Places of the usable motors that do not obey yet."""
         return [
             index
-            for index, (feedback, ok) in enumerate(zip(self.feedback, usable, strict=True))
+            for index, (feedback, ok) in enumerate(zip(self.feedback, usable))
             if ok and feedback.state is not _OPERATIONAL
         ]
 
@@ -172,7 +172,7 @@ class Motors:
             if kind is _VELOCITY or kind is _BRAKE:
                 speed, dt = measured.speeds[index], measured.dt
                 torque = loop.torque(command.value, speed, dt, feed_forward=command.feed_forward, limit=command.limit)
-                return _command((_TORQUE, gear.motor_torque(torque), 0.0, None))
+                return MotorCommand(_TORQUE, gear.motor_torque(torque))
             loop.reset()
         if kind is _COAST:
             return COAST

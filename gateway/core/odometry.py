@@ -89,7 +89,7 @@ class WheelOdometry:
         self._jumped = []
         fresh_ns, self._last_ns = now_ns - self._last_ns, now_ns
         deltas: list[float | None] = []
-        for index, (position, age_ns) in enumerate(zip(positions, ages_ns, strict=True)):
+        for index, (position, age_ns) in enumerate(zip(positions, ages_ns)):
             if position is None or position != self._positions[index]:
                 deltas.append(self._delta(index, position, now_ns))
                 continue
@@ -183,7 +183,7 @@ class WheelOdometry:
         if self._kinematics.steered:  # the geometry of mid-way serves the whole way to second order
             positions = [
                 None if position is None else position - 0.5 * (delta or 0.0)
-                for position, delta in zip(positions, deltas, strict=True)
+                for position, delta in zip(positions, deltas)
             ]
         estimate = self._kinematics.twist(deltas, positions)
         return None if estimate is None else Displacement(*estimate.twist)

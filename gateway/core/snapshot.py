@@ -32,7 +32,17 @@ State = dict[str, Node]
 # Who owns state, with what never changes after construction. Kinematics are built from the robot file and own none.
 OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.engine.Engine": frozenset(
-        {"_kinematics", "_more", "_names", "_period", "_robot_file", "_robot_name", "_stop_category", "_velocity"}
+        {
+            "_expected_speeds",
+            "_kinematics",
+            "_more",
+            "_names",
+            "_period",
+            "_robot_file",
+            "_robot_name",
+            "_stop_category",
+            "_velocity",
+        }
     ),
     "gateway.core.ability.Abilities": frozenset(
         {"_chassis", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
@@ -79,7 +89,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
 }
 # The parts of a robot as they were put together: of these only what owns state is walked over.
-AS_BUILT: Final = frozenset(f"gateway.core.assembly.Robot.{part}" for part in ("capabilities", "kinematics", "limits"))
+AS_BUILT: Final = frozenset(
+    f"gateway.core.assembly.Robot.{part}" for part in ("capabilities", "kinematics", "limits", "transmissions")
+)
 _BUILT_TYPES: Final = (FunctionType, BuiltinFunctionType, MethodType, partial, Struct)
 _KINEMATICS: Final = "gateway.kinematics."
 _OURS: Final = ("gateway.", "drivers.")

@@ -79,7 +79,7 @@ class Kinematics(Protocol):
 def desaturate(speeds: Sequence[float], limits: Sequence[float]) -> float:
     """Largest factor <= 1 that brings every wheel within its limit; scaling all keeps the direction of motion."""
     factor = 1.0
-    for speed, limit in zip(speeds, limits, strict=True):
+    for speed, limit in zip(speeds, limits):
         if abs(speed) * factor > limit:
             factor = limit / abs(speed)
     return factor

@@ -72,7 +72,7 @@ class FixedWheels:
         if solution is None:
             return None
         vx = vy = wz = 0.0
-        for (x, y, z), speed in zip(solution.shares, known, strict=True):
+        for (x, y, z), speed in zip(solution.shares, known):
             vx += x * speed
             vy += y * speed
             wz += z * speed
@@ -85,7 +85,7 @@ class FixedWheels:
             unexplained = dot(check, known)
             square += unexplained * unexplained
             falling = [part * unexplained for part in parts]
-            residuals = [a + b for a, b in zip(residuals, falling, strict=True)] if residuals else falling
+            residuals = [a + b for a, b in zip(residuals, falling)] if residuals else falling
         return _estimate((_twist((vx, vy, wz)), sqrt(square), self._placed(residuals, speeds), more))
 
     def reach(self, usable: Sequence[bool]) -> Reach:

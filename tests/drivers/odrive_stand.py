@@ -1,7 +1,8 @@
 """One ODrive axis on a bench, and the frames of its bring-up as text (node 3)."""
 
-from drivers.contract import CanFrame, CommandKind, MotorCommand, MotorFeedback, MotorState
+from drivers.contract import CanFrame, MotorFeedback, MotorState
 from drivers.odrive.group import OdriveDriver
+from drivers.setpoint import CommandKind, MotorCommand
 from tests.drivers.rig import BUS, Bench, FakeOdrive, can_text, odrive_setpoints, spec, watched
 
 VELOCITY = MotorCommand(CommandKind.VELOCITY, 10.0)

@@ -9,23 +9,20 @@ from math import isfinite, isnan
 from struct import Struct
 from typing import ClassVar
 
-from drivers.checks import check_options, check_specs, feedback_timeout_ns
+from drivers.checks import check_count, check_options, check_specs, feedback_timeout_ns
 from drivers.contract import (
-    BRAKE,
-    COAST,
     CanFrame,
     Capabilities,
-    CommandKind,
     DecodedFrame,
     DriverFault,
     IdUse,
-    MotorCommand,
     MotorFeedback,
     MotorSpec,
     MotorState,
     ReceiveFilter,
     Traffic,
 )
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from drivers.twins import TwinWatch, twin_fault
 from replay.sim.controllers.contract import STEP_S, Emission, MotorSetup, Shaft
 
@@ -70,7 +67,7 @@ class _Motor:
 
     def told(self, command: MotorCommand, now_ns: int) -> MotorCommand:
         """The command as far as it may be passed on; asking begins here."""
-        kind, value, feed_forward, limit = command
+        kind, value, feed_forward, limit = command.kind, command.value, command.feed_forward, command.limit
         extra = kind is not CommandKind.VELOCITY and (feed_forward != 0.0 or limit is not None)
         if kind not in _MODES or isnan(value) or isnan(feed_forward) or extra or not (limit is None or limit >= 0.0):
             raise ValueError(f"motor {self.spec.name}: {command}: must be a number and one of ours")
@@ -81,7 +78,7 @@ class _Motor:
         return passed
 
     def data(self, command: MotorCommand) -> bytes:
-        kind, value, feed_forward, limit = command
+        kind, value, feed_forward, limit = command.kind, command.value, command.feed_forward, command.limit
         torque = self.spec.max_torque
         most = self.spec.max_speed if kind is CommandKind.VELOCITY else torque if kind is CommandKind.TORQUE else 0.0
         bound = torque if limit is None else min(limit, torque)
@@ -131,6 +128,7 @@ class ReplyOnlyDriver:
         return True
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
+        check_count(commands, self._motors)
         pairs = list(zip(self._motors, commands, strict=True))
         return [self._frame(motor, motor.told(command, now_ns)) for motor, command in pairs]
 

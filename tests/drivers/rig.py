@@ -11,17 +11,16 @@ from drivers import DRIVERS
 from drivers.contract import (
     CanFrame,
     Capabilities,
-    CommandKind,
     DecodedFrame,
     Driver,
     DriverType,
-    MotorCommand,
     MotorFeedback,
     MotorSpec,
     MotorState,
     OptionValue,
 )
 from drivers.odrive.firmware import FIRMWARES
+from drivers.setpoint import CommandKind, MotorCommand
 from tests.drivers.reply_only import REPLY, ReplyOnlyDriver, command_values, reply_data
 
 BUS = "can0"

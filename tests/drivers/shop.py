@@ -1,6 +1,7 @@
 """One motor with a flywheel, its simulated controller and its driver, for what only the shaft can tell."""
 
-from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
+from drivers.contract import CanFrame, Driver, MotorSpec, MotorState
+from drivers.setpoint import CommandKind, MotorCommand
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.robot import CONTROLLERS
 from tests.drivers.reply_only import SimulatedReplier

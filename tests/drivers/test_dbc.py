@@ -10,7 +10,7 @@ from cantools.database.can import Database, Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import CanFrame, CommandKind, MotorCommand
+from drivers.contract import CanFrame
 from drivers.dji import VARIANTS, DjiDriver
 from drivers.odrive.firmware import (
     CONTROLLER_ERRORS_05,
@@ -23,6 +23,7 @@ from drivers.odrive.firmware import (
     Bit,
 )
 from drivers.odrive.group import OdriveDriver
+from drivers.setpoint import CommandKind, MotorCommand
 from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, spec
 
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import COAST, CanFrame, Capabilities, CommandKind, MotorCommand, MotorState
+from drivers.contract import CanFrame, Capabilities, MotorState
 from drivers.dji import DjiDriver
+from drivers.setpoint import COAST, CommandKind, MotorCommand
 from tests.drivers.rig import BUS, MS, can_text, spec
 
 TICK = 2.0 * pi / 8192

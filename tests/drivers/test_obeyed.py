@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, CommandKind, MotorCommand
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.rig import UNDER_CONTRACT, claimed
 from tests.drivers.shop import FRICTION, ON_THE_GROUND, Shop, kind_of
 

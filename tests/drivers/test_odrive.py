@@ -5,8 +5,9 @@ from struct import unpack
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, Capabilities, CommandKind, MotorCommand, MotorState, Traffic
+from drivers.contract import Capabilities, MotorState, Traffic
 from drivers.odrive.group import OdriveDriver
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.odrive_stand import (
     ARM,
     CLEAR_06,

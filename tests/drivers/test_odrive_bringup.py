@@ -5,7 +5,8 @@ from struct import pack, unpack
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, CanFrame, MotorState
+from drivers.contract import CanFrame, MotorState
+from drivers.setpoint import BRAKE, COAST
 from tests.drivers.odrive_stand import (
     ARM,
     CLEAR_05,

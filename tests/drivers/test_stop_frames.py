@@ -4,8 +4,9 @@ from struct import pack, unpack
 
 import pytest
 
-from drivers.contract import CanFrame, CommandKind, MotorCommand
+from drivers.contract import CanFrame
 from drivers.dji import FULL_BRAKING_NS, DjiDriver
+from drivers.setpoint import CommandKind, MotorCommand
 from replay.sim.controllers.contract import Shaft
 from tests.drivers.rig import BUS, MS, UNDER_CONTRACT, spec
 from tests.drivers.shop import LIFTED, ON_THE_GROUND, Shop, kind_of

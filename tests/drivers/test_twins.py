@@ -6,7 +6,8 @@ from random import Random
 import pytest
 
 from drivers import DRIVERS
-from drivers.contract import CanFrame, CommandKind, Driver, MotorCommand, MotorSpec, MotorState
+from drivers.contract import CanFrame, Driver, MotorSpec, MotorState
+from drivers.setpoint import CommandKind, MotorCommand
 from tests.drivers.rig import BUS, DRIVER_TYPES, MS, RIGS, UNDER_CONTRACT, spec
 
 TOP = 100.0  # rad/s, of the specs

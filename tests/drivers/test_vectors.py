@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from drivers.contract import COAST, CommandKind, MotorCommand
 from drivers.dji import VARIANTS, DjiDriver
 from drivers.odrive.axis import Axis
 from drivers.odrive.group import OdriveDriver
+from drivers.setpoint import COAST, CommandKind, MotorCommand
 from tests.drivers.rig import BUS, can_frame, can_text, spec
 
 VECTORS = Path(__file__).parent.parent / "vectors"

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import CommandKind, DriverFault, MotorState
+from drivers.contract import DriverFault, MotorState
+from drivers.setpoint import CommandKind
 from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
 from gateway.types import ZERO_TWIST, Mode, Rates, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand

@@ -31,9 +31,15 @@ def sample(
     torque: float | None = SOME,
     fresh: bool = True,
     driving: bool = True,
+    dt: float = DT,
     expected: float | None = None,
 ) -> Sample:
-    return Sample(setpoint, speed, position, torque, fresh, driving, DT, lambda: expected)
+    return Sample(setpoint, speed, position, torque, fresh=fresh, driving=driving, dt=dt, expected=lambda: expected)
+
+
+def but(x: Sample, **change: object) -> Sample:
+    """The same with something else in it."""
+    return Sample(**{name: getattr(x, name) for name in Sample.__slots__} | change)
 
 
 def trips(detector: Detector, samples: Iterable[Sample]) -> int | None:
@@ -52,20 +58,20 @@ STALLED = sample(torque=FULL)
     ("x", "cycles"),
     [
         (STALLED, 64),  # 0.25 s
-        (STALLED._replace(torque=-8.0), 64),
-        (STALLED._replace(setpoint=-10.0), 64),
-        (STALLED._replace(setpoint=1.0, speed=0.1), 103),  # 0.02 s at top speed are 0.4 rad
-        (STALLED._replace(torque=None), 128),
-        (STALLED._replace(setpoint=1.0, torque=None), 205),
-        (STALLED._replace(speed=1.0), 64),
-        (STALLED._replace(speed=0.9), 64),
-        (STALLED._replace(setpoint=0.2), 256),  # by its crawl
-        (STALLED._replace(torque=7.9), None),
-        (STALLED._replace(speed=1.01), None),
-        (STALLED._replace(setpoint=0.19), None),
-        (STALLED._replace(setpoint=None), None),
-        (STALLED._replace(speed=None), None),
-        (STALLED._replace(driving=False), None),
+        (but(STALLED, torque=-8.0), 64),
+        (but(STALLED, setpoint=-10.0), 64),
+        (but(STALLED, setpoint=1.0, speed=0.1), 103),  # 0.02 s at top speed are 0.4 rad
+        (but(STALLED, torque=None), 128),
+        (but(STALLED, setpoint=1.0, torque=None), 205),
+        (but(STALLED, speed=1.0), 64),
+        (but(STALLED, speed=0.9), 64),
+        (but(STALLED, setpoint=0.2), 256),  # by its crawl
+        (but(STALLED, torque=7.9), None),
+        (but(STALLED, speed=1.01), None),
+        (but(STALLED, setpoint=0.19), None),
+        (but(STALLED, setpoint=None), None),
+        (but(STALLED, speed=None), None),
+        (but(STALLED, driving=False), None),
     ],
 )
 def test_stall(x: Sample, cycles: int | None) -> None:
@@ -78,13 +84,13 @@ def test_a_stall_that_gives_way_counts_anew() -> None:
 
 def test_a_stall_is_over_once_nothing_is_asked_any_more() -> None:
     for x, cycles in ((STALLED, 63), (CRAWLING, 255)):
-        for pause in (x._replace(driving=False), x._replace(setpoint=None), x._replace(torque=SOME)):
+        for pause in (but(x, driving=False), but(x, setpoint=None), but(x, torque=SOME)):
             assert trips(StallDetector(LIMITS), [*[x] * cycles, pause, *[x] * cycles]) is None
 
 
 def test_the_way_of_a_stall_is_inclusive() -> None:
     """At 50 rad/s the way is 1 rad: 128 cycles of 2 rad/s."""
-    assert trips(StallDetector(Limits(50.0, 10.0)), repeat(STALLED._replace(setpoint=2.0), LONG)) == 128
+    assert trips(StallDetector(Limits(50.0, 10.0)), repeat(but(STALLED, setpoint=2.0), LONG)) == 128
 
 
 @pytest.mark.parametrize(
@@ -96,7 +102,7 @@ def test_the_way_of_a_stall_is_inclusive() -> None:
 )
 def test_a_stall_in_words(torque: float | None, text: str) -> None:
     detector = StallDetector(LIMITS)
-    assert [detector.look(STALLED._replace(torque=torque)) for _ in range(128)][-1] == text
+    assert [detector.look(but(STALLED, torque=torque)) for _ in range(128)][-1] == text
 
 
 CRAWLING = sample(setpoint=0.5, speed=0.9, torque=FULL)
@@ -106,15 +112,15 @@ CRAWLING = sample(setpoint=0.5, speed=0.9, torque=FULL)
     ("x", "cycles"),
     [
         (CRAWLING, 256),  # 1 s
-        (CRAWLING._replace(speed=-0.9), 256),
-        (CRAWLING._replace(speed=1.1), None),
-        (CRAWLING._replace(speed=1.0), None),
-        (CRAWLING._replace(speed=-1.1), None),
-        (CRAWLING._replace(torque=SOME), None),
-        (CRAWLING._replace(torque=None), None),
-        (CRAWLING._replace(setpoint=0.1), None),
-        (CRAWLING._replace(setpoint=None), None),
-        (CRAWLING._replace(driving=False), None),
+        (but(CRAWLING, speed=-0.9), 256),
+        (but(CRAWLING, speed=1.1), None),
+        (but(CRAWLING, speed=1.0), None),
+        (but(CRAWLING, speed=-1.1), None),
+        (but(CRAWLING, torque=SOME), None),
+        (but(CRAWLING, torque=None), None),
+        (but(CRAWLING, setpoint=0.1), None),
+        (but(CRAWLING, setpoint=None), None),
+        (but(CRAWLING, driving=False), None),
     ],
 )
 def test_all_its_torque_and_hardly_any_motion_is_a_stall_after_a_second(x: Sample, cycles: int | None) -> None:
@@ -130,14 +136,14 @@ APART = sample(speed=3.9)
     ("x", "cycles"),
     [
         (APART, 128),  # 0.5 s
-        (APART._replace(torque=None), 128),
-        (APART._replace(speed=16.1), 128),
-        (APART._replace(speed=4.1), None),
-        (APART._replace(speed=4.0), None),
-        (APART._replace(torque=FULL), None),
-        (APART._replace(setpoint=None), None),
-        (APART._replace(speed=None), None),
-        (APART._replace(driving=False), None),
+        (but(APART, torque=None), 128),
+        (but(APART, speed=16.1), 128),
+        (but(APART, speed=4.1), None),
+        (but(APART, speed=4.0), None),
+        (but(APART, torque=FULL), None),
+        (but(APART, setpoint=None), None),
+        (but(APART, speed=None), None),
+        (but(APART, driving=False), None),
     ],
 )
 def test_following(x: Sample, cycles: int | None) -> None:
@@ -157,32 +163,32 @@ STILL = sample(torque=0.0)
     ("before", "x", "cycles"),
     [
         (MOVING, STOPPED, 4),  # of the same position: 12 ms, and at least 3
-        ([x._replace(speed=0.61) for x in MOVING], STOPPED._replace(driving=True), 4),
-        ([x._replace(speed=0.59) for x in MOVING], STOPPED._replace(driving=True), None),
-        ([x._replace(speed=1.99) for x in MOVING], STOPPED, None),
-        ([x._replace(speed=-2.1) for x in MOVING], STOPPED, 4),
-        ([x._replace(speed=2.0) for x in MOVING], STOPPED, None),
-        ([*MOVING, STOPPED._replace(position=0.02)], STOPPED._replace(position=0.02), 4),  # frozen a sample before
-        ([*[MOVING[0]] * 3, MOVING[1]], STOPPED._replace(dt=1 / 64), 3),
-        (MOVING, STOPPED._replace(dt=0.004), 3),  # 12 ms are enough
+        ([but(x, speed=0.61) for x in MOVING], but(STOPPED, driving=True), 4),
+        ([but(x, speed=0.59) for x in MOVING], but(STOPPED, driving=True), None),
+        ([but(x, speed=1.99) for x in MOVING], STOPPED, None),
+        ([but(x, speed=-2.1) for x in MOVING], STOPPED, 4),
+        ([but(x, speed=2.0) for x in MOVING], STOPPED, None),
+        ([*MOVING, but(STOPPED, position=0.02)], but(STOPPED, position=0.02), 4),  # frozen a sample before
+        ([*[MOVING[0]] * 3, MOVING[1]], but(STOPPED, dt=1 / 64), 3),
+        (MOVING, but(STOPPED, dt=0.004), 3),  # 12 ms are enough
         ([STILL], STILL, None),
-        ([STILL], STILL._replace(torque=3.0), 39),  # 0.15 s
-        ([STILL], STILL._replace(torque=3.0, dt=0.15), 1),
-        ([STILL], STILL._replace(torque=3.0, setpoint=-10.0), 39),
-        ([STILL], STILL._replace(torque=3.0, setpoint=0.2), 39),
-        ([STILL], STILL._replace(torque=-3.0), 39),
-        ([STILL], STILL._replace(torque=2.9), None),
-        ([STILL], STILL._replace(torque=None), None),
-        ([STILL], STILL._replace(torque=3.0, setpoint=0.19), None),
-        ([STILL], STILL._replace(expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
-        ([STILL] * 3, STILL._replace(expected=lambda: -1.0, dt=0.04), 1),
-        ([STILL], STILL._replace(expected=lambda: 0.99), None),
-        ([STILL], STILL._replace(expected=lambda: 1.0, setpoint=0.0), None),
-        ([STILL], STILL._replace(torque=3.0, fresh=False), None),
-        (MOVING, STOPPED._replace(fresh=False), None),
-        (MOVING, STOPPED._replace(position=None), None),
-        (MOVING, STOPPED._replace(speed=None), None),
-        (MOVING, STOPPED._replace(setpoint=None), None),
+        ([STILL], but(STILL, torque=3.0), 39),  # 0.15 s
+        ([STILL], but(STILL, torque=3.0, dt=0.15), 1),
+        ([STILL], but(STILL, torque=3.0, setpoint=-10.0), 39),
+        ([STILL], but(STILL, torque=3.0, setpoint=0.2), 39),
+        ([STILL], but(STILL, torque=-3.0), 39),
+        ([STILL], but(STILL, torque=2.9), None),
+        ([STILL], but(STILL, torque=None), None),
+        ([STILL], but(STILL, torque=3.0, setpoint=0.19), None),
+        ([STILL], but(STILL, expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
+        ([STILL] * 3, but(STILL, expected=lambda: -1.0, dt=0.04), 1),
+        ([STILL], but(STILL, expected=lambda: 0.99), None),
+        ([STILL], but(STILL, expected=lambda: 1.0, setpoint=0.0), None),
+        ([STILL], but(STILL, torque=3.0, fresh=False), None),
+        (MOVING, but(STOPPED, fresh=False), None),
+        (MOVING, but(STOPPED, position=None), None),
+        (MOVING, but(STOPPED, speed=None), None),
+        (MOVING, but(STOPPED, setpoint=None), None),
     ],
 )
 def test_frozen_encoder(before: list[Sample], x: Sample, cycles: int | None) -> None:
@@ -194,10 +200,10 @@ def test_frozen_encoder(before: list[Sample], x: Sample, cycles: int | None) -> 
 @pytest.mark.parametrize(
     ("x", "cycles", "pause"),
     [
-        (STILL._replace(torque=3.0), 38, STILL._replace(position=None)),
-        (STILL._replace(torque=3.0), 38, STILL),
-        (STILL._replace(expected=lambda: 1.0), 12, STILL._replace(setpoint=0.0)),
-        (STILL._replace(expected=lambda: 1.0), 12, STILL),
+        (but(STILL, torque=3.0), 38, but(STILL, position=None)),
+        (but(STILL, torque=3.0), 38, STILL),
+        (but(STILL, expected=lambda: 1.0), 12, but(STILL, setpoint=0.0)),
+        (but(STILL, expected=lambda: 1.0), 12, STILL),
     ],
 )
 def test_a_doubt_about_an_encoder_that_is_interrupted_counts_anew(x: Sample, cycles: int, pause: Sample) -> None:
@@ -213,10 +219,10 @@ def growing(rate: float, *, cycles: int = 40, setpoint: float | None = 2.0, fres
 
 def test_runaway() -> None:
     assert trips(RunawayDetector(LIMITS), growing(1.0)) == 14  # the first begins the count; then 0.05 s
-    assert trips(RunawayDetector(LIMITS), [x._replace(driving=False) for x in growing(1.0)]) == 14
+    assert trips(RunawayDetector(LIMITS), [but(x, driving=False) for x in growing(1.0)]) == 14
     assert trips(RunawayDetector(LIMITS), growing(0.79, cycles=LONG)) is None
     assert trips(RunawayDetector(LIMITS), growing(1.0, setpoint=None)) is None
-    assert trips(RunawayDetector(LIMITS), [x._replace(speed=None) for x in growing(1.0)]) is None
+    assert trips(RunawayDetector(LIMITS), [but(x, speed=None) for x in growing(1.0)]) is None
     assert trips(RunawayDetector(LIMITS), growing(1.0, fresh=False)) is None
 
 
@@ -228,7 +234,7 @@ def test_an_impact_or_a_lag_is_no_runaway() -> None:
 
 
 def mirrored(samples: Iterable[Sample]) -> list[Sample]:
-    return [x._replace(setpoint=-(x.setpoint or 0.0), speed=-(x.speed or 0.0)) for x in samples]
+    return [but(x, setpoint=-(x.setpoint or 0.0), speed=-(x.speed or 0.0)) for x in samples]
 
 
 def speeds(*, cycles: int, setpoint: tuple[float, float], speed: tuple[float, float]) -> list[Sample]:
@@ -263,12 +269,12 @@ def test_runaway_is_the_same_both_ways(samples: list[Sample], cycles: int | None
 def test_time_and_growth_of_a_runaway_are_inclusive() -> None:
     for time, last in ((0.05, 5.0), (0.0625, 4.0)):  # s, rad/s where 2 are commanded
         course = [(3.0, 0.0), (3.125, time), (3.25, 0.0), (3.375, 0.0), (3.5, 0.0), (3.625, 0.0), (last, 0.0)]
-        samples = [sample(setpoint=2.0, speed=speed)._replace(dt=dt) for speed, dt in course]
+        samples = [sample(setpoint=2.0, speed=speed, dt=dt) for speed, dt in course]
         assert trips(RunawayDetector(LIMITS), samples) == 7
 
 
 def test_a_single_sample_over_much_time_is_no_runaway() -> None:
-    samples = [x._replace(dt=0.02) for x in growing(6.0, cycles=10)]
+    samples = [but(x, dt=0.02) for x in growing(6.0, cycles=10)]
     assert trips(RunawayDetector(LIMITS), samples) == 7  # six in a row
 
 
@@ -316,20 +322,20 @@ def test_a_wheel_that_strained_before_or_in_between_gave_way_is_not_reversed() -
     assert blamed([*stalled, *against]) is None, "an overload"
     assert blamed([*stalled[:16], *against]) == (0, 16 + 12), "so short a strain is no overload"
     recovered = [samples[:1] + samples[1:] for samples in against]
-    recovered[8] = [against[8][0]._replace(speed=against[7][0].speed), *against[8][1:]]  # a standing reading is none
+    recovered[8] = [but(against[8][0], speed=against[7][0].speed), *against[8][1:]]  # a standing reading is none
     assert blamed(recovered) == (0, 13)
-    recovered[8] = [against[8][0]._replace(speed=against[6][0].speed), *against[8][1:]]
+    recovered[8] = [but(against[8][0], speed=against[6][0].speed), *against[8][1:]]
     assert blamed(recovered) == (0, 9 + 13)
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda x: x._replace(driving=False),
-        lambda x: x._replace(setpoint=None),
-        lambda x: x._replace(speed=None),
-        lambda x: x._replace(torque=None),
-        lambda x: x._replace(fresh=False),
+        lambda x: but(x, driving=False),
+        lambda x: but(x, setpoint=None),
+        lambda x: but(x, speed=None),
+        lambda x: but(x, torque=None),
+        lambda x: but(x, fresh=False),
     ],
 )
 def test_a_wheel_that_is_not_driven_or_not_known_is_not_reversed(change: Callable[[Sample], Sample]) -> None:

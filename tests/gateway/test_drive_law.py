@@ -4,7 +4,7 @@ from math import cos, sin
 
 import pytest
 
-from drivers.contract import CommandKind
+from drivers.setpoint import CommandKind
 from gateway.config import parse
 from gateway.control.drive_law import BRAKE, Measured, Motion, SpeedLaw
 from gateway.core.assembly import build

@@ -6,7 +6,8 @@ from math import pi
 
 import pytest
 
-from drivers.contract import CanFrame, CommandKind, DriverFault, MotorCommand, MotorFeedback, MotorState
+from drivers.contract import CanFrame, DriverFault, MotorFeedback, MotorState
+from drivers.setpoint import CommandKind, MotorCommand
 from gateway.config import RobotConfig, parse
 from gateway.control.drive_law import Motion
 from gateway.control.transmission import Transmission

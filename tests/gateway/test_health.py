@@ -135,7 +135,7 @@ def test_a_twin_that_a_driver_tells_cannot_brake_its_motor() -> None:
 
 def test_a_wheel_that_moves_against_its_torque_is_named_where_the_others_tell() -> None:
     wrong = [sample(10.0, 10.0 - 20.0 * DT * cycle, 0.1 * cycle, 9.0) for cycle in range(8)]
-    right = RESTING._replace(setpoint=10.0, speed=10.0, position=None, torque=1.0, driving=True, dt=DT)
+    right = Sample(10.0, 10.0, None, 1.0, fresh=True, driving=True, dt=DT, expected=lambda: None)
     for redundant, kinds in ((True, [FaultKind.REVERSED]), (False, [])):
         health = HealthMonitor(["left", "right"], limits=[Limits(20.0, 10.0)] * 2)
         for x in wrong:

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivers.contract import BRAKE, COAST, CanFrame, CommandKind, DriverFault, MotorCommand, MotorFeedback, MotorState
+from drivers.contract import CanFrame, DriverFault, MotorFeedback, MotorState
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from gateway.config import parse
 from gateway.control import drive_law
 from gateway.control.drive_law import JointCommand, Measured
@@ -115,9 +116,10 @@ def test_a_sample_is_fresh_for_a_cycle(age_ns: int | None, fresh: bool) -> None:
     drivers[0].motors = [MEASURED._replace(age_ns=age_ns)]
     motors.setpoints = (5.0, None, None)
     found = motors.measure(0, 0.004)
-    sample = motors.samples(found, driving=True, expected=lambda index: 10.0 + index)[0]
-    assert sample[:-1] == (5.0, -2.0, -1.0, -2.0, fresh, True, 0.004)
-    assert sample.expected() == 10.0
+    x, other, _ = motors.samples(found, driving=True, expected=(lambda: 10.0, lambda: 11.0, lambda: 12.0))
+    assert (x.setpoint, x.speed, x.position, x.torque) == (5.0, -2.0, -1.0, -2.0)
+    assert (x.fresh, x.driving, x.dt) == (fresh, True, 0.004)
+    assert (x.expected(), other.expected()) == (10.0, 11.0)
 
 
 @pytest.mark.parametrize(
@@ -199,8 +201,8 @@ def test_each_motor_gets_the_command_that_its_controller_knows() -> None:
     helped = JointCommand(velocity, 1.0, feed_forward=4.0)
     assert told(coast, coast, coast)[1] == COAST
     assert told(coast, helped, coast)[1] == MotorCommand(torque, 2.0)
-    assert told(coast, helped._replace(limit=3.0), coast)[1] == MotorCommand(torque, 1.5)
-    (first, _, third) = told(helped._replace(limit=6.0), coast, helped)
+    assert told(coast, JointCommand(velocity, 1.0, feed_forward=4.0, limit=3.0), coast)[1] == MotorCommand(torque, 1.5)
+    (first, _, third) = told(JointCommand(velocity, 1.0, feed_forward=4.0, limit=6.0), coast, helped)
     assert first == MotorCommand(velocity, -4.0, -1.0, 1.5), "a speed loop in the controller gets both, at its shaft"
     assert third == MotorCommand(velocity, 1.0, 4.0)
     plain = told(two, coast, coast)[0].feed_forward
