@@ -190,6 +190,33 @@ class MujocoPlant:
         mujoco.mj_forward(self._model, self._data)
 
 
+class MujocoOffsetPlant(MujocoPlant):
+    """With its caster to look at; its joints are `swivel` and `roll`."""
+
+    @property
+    def swivel(self) -> float:
+        """beta of the fork, rad: it trails behind a pushed chassis at -pi/2."""
+        return float(self._data.joint("swivel").qpos[0]) - pi / 2.0
+
+    def set_swivel(self, beta: float) -> None:
+        """The fork stands there, at rest."""
+        self._data.joint("swivel").qpos[0] = beta + pi / 2.0
+        mujoco.mj_forward(self._model, self._data)
+
+    def set_motion(
+        self, velocity: tuple[float, float], *, joints: Sequence[float], caster: tuple[float, float]
+    ) -> None:
+        """As if it had come along: the platform joint at this velocity in the world, `base_link` not turning.
+
+        `joints`: rates of the motors' joints; `caster`: of swivel and wheel, about its axle (science 0), rad/s.
+        """
+        self._data.qvel[:2] = velocity
+        self._data.qvel[5] = -joints[2]
+        self._data.qvel[self._dofs] = joints
+        self._data.joint("swivel").qvel[0], self._data.joint("roll").qvel[0] = caster[0], -caster[1]
+        mujoco.mj_forward(self._model, self._data)
+
+
 def omni(robot: OmniRobot) -> MujocoPlant:
     """Hubs with free rollers: ellipsoids whose middle is curved as the rim, so that the wheel is round."""
     body, wheels = robot.body, "".join(_omni_wheel(robot, place) for place in range(len(robot.wheel)))
@@ -228,7 +255,7 @@ def _omni_wheel(robot: OmniRobot, place: int) -> str:
     <inertial pos="0 0 0" mass="{HUB_MASS}" diaginertia="{spin} {spin / 2.0} {spin / 2.0}"/>{rollers}</body>"""
 
 
-def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
+def offset_differential(robot: OffsetDifferentialRobot) -> MujocoOffsetPlant:
     """Chassis with two wheels and a caster on a fork, platform on a vertical joint; the masses over the joint."""
     assert robot.caster is not None
     body, caster, radius = robot.body, robot.caster, robot.wheel_radius
@@ -241,7 +268,7 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
         + CASTER_MASS * (caster.position - caster.trail) ** 2
     )
     wheels = "".join(
-        f"""<body pos="{-robot.axle_offset} {side * robot.track / 2.0} {radius}">
+        f"""<body name="wheel{place}" pos="{-robot.axle_offset} {side * robot.track / 2.0} {radius}">
         <joint name="joint{place}" type="hinge" axis="0 1 0" {_joint(body, body.joint_inertia - spin)}/>
         <inertial pos="0 0 0" mass="{WHEEL_MASS}" diaginertia="{spin / 2.0} {spin} {spin / 2.0}"/>
         <geom name="wheel{place}_0" type="sphere" size="{radius}"/></body>"""
@@ -251,9 +278,10 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
     <body name="chassis"><freejoint/>
     <inertial pos="0 0 {CHASSIS_HEIGHT}" mass="{chassis}"
      diaginertia="1 1 {robot.chassis_inertia - carried}"/>{wheels}
-    <body pos="{caster.position} 0 {caster.radius}"><joint type="hinge" axis="0 0 1" damping="0.01"/>
+    <body name="fork" pos="{caster.position} 0 {caster.radius}">
+     <joint name="swivel" type="hinge" axis="0 0 1" damping="0.01"/>
      <inertial pos="0 0 0" mass="{FORK_MASS}" diaginertia="1e-4 1e-4 1e-4"/>
-     <body pos="{-caster.trail} 0 0"><joint type="hinge" axis="0 1 0"/>
+     <body name="caster" pos="{-caster.trail} 0 0"><joint name="roll" type="hinge" axis="0 1 0"/>
       <inertial pos="0 0 0" mass="{CASTER_MASS}" diaginertia="1e-4 2e-4 1e-4"/>
       <geom name="caster" type="sphere" size="{caster.radius}"/></body></body>
     <body name="body"><joint name="joint2" type="hinge" axis="0 0 1" {_joint(body, body.joint_inertia)}/>
@@ -262,7 +290,7 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
     <contact>{
         "".join(f'<pair geom1="floor" geom2="{geom}" {CONTACT}/>' for geom in ("wheel0_0", "wheel1_0", "caster"))
     }</contact></mujoco>"""
-    return MujocoPlant(robot, xml, wheels={0: radius, 1: radius})
+    return MujocoOffsetPlant(robot, xml, wheels={0: radius, 1: radius})
 
 
 def _joint(body: Body, armature: float) -> str:
