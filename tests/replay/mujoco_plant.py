@@ -203,17 +203,14 @@ class MujocoOffsetPlant(MujocoPlant):
         self._data.joint("swivel").qpos[0] = beta + pi / 2.0
         mujoco.mj_forward(self._model, self._data)
 
-    def set_motion(
-        self, velocity: tuple[float, float], *, joints: Sequence[float], caster: tuple[float, float]
-    ) -> None:
-        """As if it had come along: the platform joint at this velocity in the world, `base_link` not turning.
+    def set_motion(self, velocity: tuple[float, float], joints: Sequence[float]) -> None:
+        """From now on: the platform joint at this velocity in the world, the caster still; rates of the motors' joints.
 
-        `joints`: rates of the motors' joints; `caster`: of swivel and wheel, about its axle (science 0), rad/s.
+        `base_link` does not turn, so the chassis does against its joint.
         """
-        self._data.qvel[:2] = velocity
-        self._data.qvel[5] = -joints[2]
+        self._data.qvel[:] = 0.0
+        self._data.qvel[:2], self._data.qvel[5] = velocity, -joints[2]
         self._data.qvel[self._dofs] = joints
-        self._data.joint("swivel").qvel[0], self._data.joint("roll").qvel[0] = caster[0], -caster[1]
         mujoco.mj_forward(self._model, self._data)
 
 
