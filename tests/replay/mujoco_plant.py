@@ -29,6 +29,7 @@ Matrix = NDArray[np.float64]
 GRAVITY = 9.81  # m/s^2
 GRIP = 2.0  # coefficient of friction that stands for ground that holds
 SETTLING = 0.5  # s in which the robot sinks into its contacts before it is put at the origin
+BRAKED = 1e4  # N m s/rad
 SLIP = 0.05  # m/s at the rim beyond which a wheel slips and does not only creep
 
 ROLLERS = 16
@@ -128,6 +129,10 @@ class MujocoPlant:
         w, _, _, z = self._data.qpos[3:7]
         turned = 2.0 * atan2(z, w) - self._heading
         self._heading += (turned + pi) % (2.0 * pi) - pi
+
+    def brake(self, joint: int) -> None:
+        """Its brake holds from now on, as stiff as a gear that jams."""
+        self._model.dof_damping[self._dofs[joint]] = BRAKED
 
     def can_slip(self, joint: int) -> bool:
         """Every wheel can."""
