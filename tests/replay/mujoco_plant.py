@@ -29,6 +29,7 @@ Matrix = NDArray[np.float64]
 GRAVITY = 9.81  # m/s^2
 GRIP = 2.0  # coefficient of friction that stands for ground that holds
 SETTLING = 0.5  # s in which the robot sinks into its contacts before it is put at the origin
+BRAKED = 1e4  # N m s/rad
 SLIP = 0.05  # m/s at the rim beyond which a wheel slips and does not only creep
 
 ROLLERS = 16
@@ -129,6 +130,10 @@ class MujocoPlant:
         turned = 2.0 * atan2(z, w) - self._heading
         self._heading += (turned + pi) % (2.0 * pi) - pi
 
+    def brake(self, joint: int) -> None:
+        """Its brake holds from now on, as stiff as a gear that jams."""
+        self._model.dof_damping[self._dofs[joint]] = BRAKED
+
     def can_slip(self, joint: int) -> bool:
         """Every wheel can."""
         return joint in self._pairs
@@ -190,6 +195,30 @@ class MujocoPlant:
         mujoco.mj_forward(self._model, self._data)
 
 
+class MujocoOffsetPlant(MujocoPlant):
+    """With its caster to look at; its joints are `swivel` and `roll`."""
+
+    @property
+    def swivel(self) -> float:
+        """beta of the fork, rad: it trails behind a pushed chassis at -pi/2."""
+        return float(self._data.joint("swivel").qpos[0]) - pi / 2.0
+
+    def set_swivel(self, beta: float) -> None:
+        """The fork stands there, at rest."""
+        self._data.joint("swivel").qpos[0] = beta + pi / 2.0
+        mujoco.mj_forward(self._model, self._data)
+
+    def set_motion(self, velocity: tuple[float, float], joints: Sequence[float]) -> None:
+        """From now on: the platform joint at this velocity in the world, the caster still; rates of the motors' joints.
+
+        `base_link` does not turn, so the chassis does against its joint.
+        """
+        self._data.qvel[:] = 0.0
+        self._data.qvel[:2], self._data.qvel[5] = velocity, -joints[2]
+        self._data.qvel[self._dofs] = joints
+        mujoco.mj_forward(self._model, self._data)
+
+
 def omni(robot: OmniRobot) -> MujocoPlant:
     """Hubs with free rollers: ellipsoids whose middle is curved as the rim, so that the wheel is round."""
     body, wheels = robot.body, "".join(_omni_wheel(robot, place) for place in range(len(robot.wheel)))
@@ -228,7 +257,7 @@ def _omni_wheel(robot: OmniRobot, place: int) -> str:
     <inertial pos="0 0 0" mass="{HUB_MASS}" diaginertia="{spin} {spin / 2.0} {spin / 2.0}"/>{rollers}</body>"""
 
 
-def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
+def offset_differential(robot: OffsetDifferentialRobot) -> MujocoOffsetPlant:
     """Chassis with two wheels and a caster on a fork, platform on a vertical joint; the masses over the joint."""
     assert robot.caster is not None
     body, caster, radius = robot.body, robot.caster, robot.wheel_radius
@@ -241,7 +270,7 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
         + CASTER_MASS * (caster.position - caster.trail) ** 2
     )
     wheels = "".join(
-        f"""<body pos="{-robot.axle_offset} {side * robot.track / 2.0} {radius}">
+        f"""<body name="wheel{place}" pos="{-robot.axle_offset} {side * robot.track / 2.0} {radius}">
         <joint name="joint{place}" type="hinge" axis="0 1 0" {_joint(body, body.joint_inertia - spin)}/>
         <inertial pos="0 0 0" mass="{WHEEL_MASS}" diaginertia="{spin / 2.0} {spin} {spin / 2.0}"/>
         <geom name="wheel{place}_0" type="sphere" size="{radius}"/></body>"""
@@ -251,9 +280,10 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
     <body name="chassis"><freejoint/>
     <inertial pos="0 0 {CHASSIS_HEIGHT}" mass="{chassis}"
      diaginertia="1 1 {robot.chassis_inertia - carried}"/>{wheels}
-    <body pos="{caster.position} 0 {caster.radius}"><joint type="hinge" axis="0 0 1" damping="0.01"/>
+    <body name="fork" pos="{caster.position} 0 {caster.radius}">
+     <joint name="swivel" type="hinge" axis="0 0 1" damping="0.01"/>
      <inertial pos="0 0 0" mass="{FORK_MASS}" diaginertia="1e-4 1e-4 1e-4"/>
-     <body pos="{-caster.trail} 0 0"><joint type="hinge" axis="0 1 0"/>
+     <body name="caster" pos="{-caster.trail} 0 0"><joint name="roll" type="hinge" axis="0 1 0"/>
       <inertial pos="0 0 0" mass="{CASTER_MASS}" diaginertia="1e-4 2e-4 1e-4"/>
       <geom name="caster" type="sphere" size="{caster.radius}"/></body></body>
     <body name="body"><joint name="joint2" type="hinge" axis="0 0 1" {_joint(body, body.joint_inertia)}/>
@@ -262,7 +292,7 @@ def offset_differential(robot: OffsetDifferentialRobot) -> MujocoPlant:
     <contact>{
         "".join(f'<pair geom1="floor" geom2="{geom}" {CONTACT}/>' for geom in ("wheel0_0", "wheel1_0", "caster"))
     }</contact></mujoco>"""
-    return MujocoPlant(robot, xml, wheels={0: radius, 1: radius})
+    return MujocoOffsetPlant(robot, xml, wheels={0: radius, 1: radius})
 
 
 def _joint(body: Body, armature: float) -> str:
