@@ -207,10 +207,7 @@ class OffsetCaster:
 
     def torques_for(self, change: Motion) -> tuple[float, float, float]:
         """N m of the joints with which the three speeds change so, m/s^2 and rad/s^2, friction made up for."""
-        s, c = sin_cos(self.swivel)
-        along, turning, platform = self._equations.resistance_to(s, c, change)
-        ahead, round_, above = self._equations.resistance(s, c, self._velocity)
-        return self._equations.motors((along + ahead, turning + round_, platform + above))
+        return self._equations.torques_for(*sin_cos(self.swivel), self._velocity, change)
 
     def step(self, torques: Sequence[float]) -> None:
         """One substep under constant joint torques."""

@@ -16,11 +16,10 @@ from collections.abc import Container
 from typing import NamedTuple
 
 from gateway.arithmetic import dot
-from replay.sim.plants.offset_parameters import CASTER, JOINT, LEFT, RIGHT, SWIVEL, OffsetParameters, X, Y
+from replay.sim.plants.offset_parameters import CASTER, JOINT, LEFT, PLATFORM, RIGHT, SWIVEL, OffsetParameters, X, Y
 
 Motion = tuple[float, float, float]
 Force = tuple[float, float, float]  # along each of the three speeds: N, N m, N m
-_PLATFORM_RATE = 5  # place of the platform's own resistance among the coordinates
 
 
 class _Caster(NamedTuple):
@@ -66,7 +65,7 @@ class OffsetEquations:
         self._b12 = half * (slow_right - slow_left)
         self._b22 = half * half * (slow_left + slow_right) + friction[JOINT] + friction[Y] * offset * offset
         self._b23 = -friction[JOINT]
-        self._b33 = friction[_PLATFORM_RATE] + friction[JOINT]
+        self._b33 = friction[PLATFORM] + friction[JOINT]
         self._b_swivel, self._b_caster = friction[SWIVEL], friction[CASTER]
         self._ratio = half / radius
 
@@ -103,6 +102,12 @@ class OffsetEquations:
         """How the three speeds change under this force."""
         along, turning, platform = self.resistance(s, c, motion)
         return self.yielding(s, c, (force[0] - along, force[1] - turning, force[2] - platform))
+
+    def torques_for(self, s: float, c: float, motion: Motion, change: Motion) -> tuple[float, float, float]:
+        """N m of the joints with which the three speeds change so: the inverse of `acceleration`."""
+        along, turning, platform = self.resistance_to(s, c, change)
+        against = self.resistance(s, c, motion)
+        return self.motors((along + against[0], turning + against[1], platform + against[2]))
 
     def resistance(self, s: float, c: float, motion: Motion) -> Force:
         """What it takes that the three speeds do not change: inertia of the bends, and friction."""

@@ -4,7 +4,6 @@ from math import pi
 from typing import NamedTuple
 
 LEFT, RIGHT, JOINT, X, Y, PLATFORM, SWIVEL, CASTER = range(8)
-FREE = (X, Y, PLATFORM)  # coordinates whose rates are the free ones
 DRIVEN = (LEFT, RIGHT, JOINT)  # those with a motor
 
 
