@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
-from replay.sim.plants import PLANTS
+from replay.sim.plants import plant_of
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 
@@ -295,4 +295,4 @@ def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: s
 def wheels(config: RobotConfig) -> tuple[str, ...]:
     """Motors that drive a wheel, in chassis order."""
     names = config.robot.motor_names()
-    return tuple(names[joint] for joint in PLANTS[config.robot.kind](config.robot).wheels)
+    return tuple(names[joint] for joint in plant_of(config.robot).wheels)

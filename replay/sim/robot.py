@@ -10,7 +10,7 @@ from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.controllers.dji import SimulatedDji
 from replay.sim.controllers.odrive import SimulatedODrive
-from replay.sim.plants import PLANTS
+from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
@@ -62,7 +62,7 @@ class SimulatedRobot:
     def __init__(
         self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None, *, plant: Plant | None = None
     ) -> None:
-        self._plant = PLANTS[config.robot.kind](config.robot) if plant is None else plant
+        self._plant = plant_of(config.robot) if plant is None else plant
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
             for motor, inertia in zip(config.motors_in_order(), self._plant.reflected_inertia, strict=True)
