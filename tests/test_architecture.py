@@ -56,8 +56,8 @@ ROOMS: dict[str, set[str]] = {
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants"),
     },
     "replay/reproduce": {
-        *("ground", "robot file", "gateway/control", "gateway/core", "gateway/paths", "replay/drive"),
-        "replay/sim/plants",
+        *("ground", "robot file", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
+        *("replay/drive", "replay/sim/plants"),
     },
 }
 COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody but the entrance imports it

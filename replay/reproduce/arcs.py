@@ -13,6 +13,7 @@ from replay.reproduce.result import Found, Row, Stage, at_most
 from replay.reproduce.robot import Setup, shape_of
 from replay.reproduce.service import Driven, Order, Sample, Wanted, drive
 from replay.reproduce.straight import NOT_PRINTED, robots_along
+from replay.sim.plants.offset_parameters import trailing
 
 OFFSET = 0.145  # m, d1 of the real robot; printed in section 8
 SPEED = 0.5  # m/s; ours
@@ -160,7 +161,8 @@ def _distances(path: Path, steps: list[Step]) -> list[float]:
 
 
 def _driven(setup: Setup, path: Path, stage: Stage, wanted: Wanted) -> Driven:
-    return drive(setup, wanted, stage, seconds=path.length / SPEED + 1.0, heading=_balanced())
+    seconds = path.length / SPEED + 1.0
+    return drive(setup, wanted, stage, seconds=seconds, heading=_balanced(), swivel=trailing(pulled=True))
 
 
 def _blind(path: Path) -> Wanted:

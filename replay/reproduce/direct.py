@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from replay.sim.plants.offset_dynamics import JOINT, PLATFORM, SETS, SWIVEL, Array, OffsetDynamics
+from replay.sim.plants.offset_dynamics import Array, OffsetDynamics
+from replay.sim.plants.offset_parameters import JOINT, PLATFORM, SETS, SWIVEL
 
 TOP = 1.2  # m/s; printed
 PERIOD = 1e-3  # s; printed

@@ -79,7 +79,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
         style = "--" if line.dashed else "-"
         axes.plot(line.x, line.y, style, color=f"C{line.colour}", linewidth=1.4, label=line.label)
     for level in panel.levels:
-        axes.axhline(level.value, color=_PAPER, linewidth=1.1, linestyle="--", label=level.label)
+        axes.axhline(level.value, color=_PAPER, linewidth=1.1, linestyle="--", label=level.label or None)
     for arrow in panel.arrows:
         axes.annotate(
             arrow.label,
@@ -92,6 +92,8 @@ def _panel(axes: Axes, panel: Panel) -> None:
             arrowprops={"arrowstyle": "-|>", "color": _PAPER, "linewidth": 1.6},
             zorder=5,
         )
+    if panel.y_range is not None:
+        axes.set_ylim(*panel.y_range)
     if panel.shape is not None:
         (left, right), (low, high) = _extent(panel)
         axes.set_xlim(left, right)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from replay.reproduce import arcs, drawing, hits, straight, tables
+from replay.reproduce import arcs, drawing, hits, impact, straight, tables, torques
 from replay.reproduce.result import Found, Result, Stage
 
 
@@ -19,7 +19,11 @@ class Experiment(NamedTuple):
 EXPERIMENTS: dict[str, Experiment] = {
     "moby-fig5": Experiment("Figure 5: the chassis reverses by itself", straight.figure_5, 3),
     "moby-fig7": Experiment("Figure 7: the velocity is mirrored, and the chassis comes back", straight.figure_7, 2),
+    "moby-fig8": Experiment("Figure 8: a blow at the fork of the caster", impact.figure_8, 4),
     "moby-fig9": Experiment("Figures 9 and 10: along arcs, pulled", arcs.figure_9, 3),
+    "moby-fig11": Experiment("Figures 11 and 12: torques and forces of the flip", torques.figure_11, 6),
+    "moby-fig13": Experiment("Figure 13: the caster while the robot accelerates", torques.figure_13, 5),
+    "moby-fig14": Experiment("Figure 14: the caster comes out of its unstable position", torques.figure_14, 5),
     "moby-fig15": Experiment("Figure 15: both experiments of section 8", hits.figure_15, 4),
 }
 

@@ -75,6 +75,7 @@ class Panel(NamedTuple):
     arrows: Sequence[Arrow] = ()
     robots: Sequence[DrawnRobot] = ()
     shape: Shape | None = None
+    y_range: tuple[float, float] | None = None  # what of the y axis is shown; None: everything
 
 
 class Picture(NamedTuple):

@@ -1,9 +1,11 @@
-"""The robot file of the experiments: the paper's robot behind controllers that are as fast as its loop."""
+"""The robot file of the experiments: the paper's robot with controllers that tell as often as its loop asks."""
 
 from typing import NamedTuple
 
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.config import RobotConfig, parse
 from replay.reproduce.picture import Shape
+from replay.sim.plants.offset_caster import OffsetCaster, parameters, total_mass
 from replay.sim.plants.offset_dynamics import OffsetParameters
 
 ORIGIN = "the robot file of the experiment"
@@ -17,17 +19,15 @@ class Setup(NamedTuple):
     track: float
     rate: float  # Hz, of the loop and of the motors' feedback
     gain: float | None
-    mass: float = 131.09
+    mass: float = 132.29
     chassis_inertia: float = 1.3
     torque: float = 75.0
     region: float = 1.57  # rad; the largest for k = 2
 
 
-def setup_of(parameters: OffsetParameters, *, rate: float, gain: float | None, torque: float = 75.0) -> Setup:
+def setup_of(p: OffsetParameters, *, rate: float, gain: float | None, torque: float = 75.0) -> Setup:
     """For a set of science 1.7."""
-    p = parameters
-    mass = p.chassis_mass + 2.0 * p.wheel_mass + p.platform_mass + p.fork_mass + p.caster_mass
-    return Setup(p.wheel_radius, p.axle_offset, p.track, rate, gain, mass, p.chassis_inertia, torque)
+    return Setup(p.wheel_radius, p.axle_offset, p.track, rate, gain, total_mass(p), p.chassis_inertia, torque)
 
 
 def shape_of(setup: Setup) -> Shape:
@@ -48,6 +48,13 @@ def robot_file(setup: Setup) -> tuple[RobotConfig, str]:
         }
     )
     return parse(text, ORIGIN), text
+
+
+def plant_of(config: RobotConfig, *, swivel: float) -> OffsetCaster:
+    """All bodies of it; the caster stands at this angle at the start, rad."""
+    if not isinstance(config.robot, OffsetDifferentialRobot):
+        raise TypeError(f"kind = {config.robot.kind!r}: must be offset_differential")
+    return OffsetCaster(parameters(config.robot), swivel=swivel)
 
 
 def _motors(setup: Setup) -> tuple[tuple[str, float, float, str], ...]:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.core.examination import examine
-from gateway.types import ZERO_TWIST, Mode, Outputs, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
+from gateway.types import ZERO_TWIST, Event, Mode, Outputs, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.drive.recording import SessionRecording
 from replay.reproduce.result import ReproduceError, Stage
-from replay.reproduce.robot import ORIGIN, Setup, robot_file
-from replay.sim.plants.contract import Plant
+from replay.reproduce.robot import ORIGIN, Setup, plant_of, robot_file
+from replay.sim.plants.offset_caster import OffsetCaster
 
 SOURCE = "experiment"
 _PATIENCE = 8.0  # s, for the robot to start
@@ -31,6 +31,7 @@ class Order(NamedTuple):
 
 
 Wanted = Callable[[float, Pose], Order]  # at a time, s, where the odometry tells the robot to be
+Disturb = Callable[[float, OffsetCaster], None]  # what else happens before a cycle at this time, s
 
 
 class Sample(NamedTuple):
@@ -45,6 +46,7 @@ class Sample(NamedTuple):
     vy: float
     rates: tuple[float, ...]  # of the joints
     torques: tuple[float, ...]
+    swivel: float  # of the caster
     error: float | None  # of gamma from its goal
     correction: float | None
     mode: Mode
@@ -52,15 +54,11 @@ class Sample(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """Every cycle from the first order, and where the drive is recorded."""
+    """Every cycle from the first order, what the service told, and where the drive is recorded."""
 
     samples: list[Sample]
+    events: tuple[Event, ...]
     session: Path
-
-    @property
-    def faults(self) -> list[Sample]:
-        """Cycles in which the robot did not drive."""
-        return [sample for sample in self.samples if sample.mode is not Mode.DRIVE]
 
 
 def drive(
@@ -70,38 +68,48 @@ def drive(
     *,
     seconds: float,
     heading: float,
-    plant: Plant | None = None,
-    disturb: Callable[[float, ClosedLoop], None] = lambda t, loop: None,
+    swivel: float,
+    disturb: Disturb = lambda t, plant: None,
 ) -> Driven:
-    """`wanted`: what is sent; `heading`: of the chassis at the start, rad; `disturb`: what else happens at a time, s.
+    """`wanted`: what is sent; `heading`, `swivel`: of chassis and caster at the start, rad.
 
     Raises ReproduceError where the robot does not start.
     """
     config, text = robot_file(setup)
     examine(config, ORIGIN)
     recording = SessionRecording(config, text, ORIGIN, directory=stage.folder, started_wall_ns=stage.started_wall_ns)
-    loop = ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant)
+    plant = plant_of(config, swivel=swivel)
+    drive_ = _Drive(ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant), plant, recording)
     try:
-        samples = _Drive(loop, recording).run(wanted, seconds, disturb)
+        samples = drive_.run(wanted, seconds, disturb)
     finally:
         recording.close()
-    return Driven(samples, recording.session)
+    return Driven(samples, tuple(drive_.events), recording.session)
+
+
+def free_of(plant: OffsetCaster) -> tuple[float, float, float]:
+    """Velocity of the joint over the floor, m/s, and rate of the platform, rad/s."""
+    twist = plant.twist
+    vx, vy = _over_the_floor(twist, plant.pose.theta)
+    return vx, vy, twist.wz
 
 
 class _Drive:
-    def __init__(self, loop: ClosedLoop, recording: SessionRecording) -> None:
+    def __init__(self, loop: ClosedLoop, plant: OffsetCaster, recording: SessionRecording) -> None:
+        self.events: list[Event] = []
         self._loop = loop
+        self._plant = plant
         self._recording = recording
         self._asked = 0  # the id of the last request
         self._pose = Pose(0.0, 0.0, 0.0)
 
-    def run(self, wanted: Wanted, seconds: float, disturb: Callable[[float, ClosedLoop], None]) -> list[Sample]:
+    def run(self, wanted: Wanted, seconds: float, disturb: Disturb) -> list[Sample]:
         """Started, driven, and brought to rest."""
         self._start()
         samples, period = list[Sample](), self._loop.period_ns / 1e9
         for cycle in range(round(seconds / period) + 1):
             t = cycle * period
-            disturb(t, self._loop)
+            disturb(t, self._plant)
             samples.append(self._sample(t, self._cycle(wanted(t, self._pose))))
         for _ in range(round(0.5 / period)):
             self._cycle(Order(0.0, 0.0))
@@ -119,6 +127,7 @@ class _Drive:
         command = TwistCommand(SOURCE, twist, TwistFrame.ODOM, None, now_ns, SOURCE, path_rate=order.path_rate)
         inputs, outputs = self._loop.cycle(commands=[command], requests=self._requests(order.settings, now_ns))
         self._recording.put(inputs, outputs, self._loop.engine.snapshot)
+        self.events += outputs.events
         if outputs.odometry is not None:
             self._pose = outputs.odometry.pose
         return outputs
@@ -143,6 +152,7 @@ class _Drive:
             vy=vy,
             rates=truth.joint_rates,
             torques=truth.joint_torques,
+            swivel=self._plant.swivel,
             error=told[2] if told else None,
             correction=told[3] if told else None,
             mode=outputs.mode,

@@ -13,7 +13,7 @@ from replay.reproduce.picture import Arrow, DrawnRobot, Level, Line, Mark, Panel
 from replay.reproduce.result import Found, Row, Stage, at_most, within
 from replay.reproduce.robot import setup_of, shape_of
 from replay.reproduce.service import Order, Sample, drive
-from replay.sim.plants.offset_dynamics import SETS
+from replay.sim.plants.offset_parameters import SETS, trailing
 
 OFFSET = 0.25  # m, d1 of all sets but D
 SLOW = 0.4  # m/s, of figure 7: the path does not go by the speed (Eq. 21), but at 1.2 m/s the mirror asks for more
@@ -35,6 +35,7 @@ def figure_5(stage: Stage) -> Found:
         stage,
         seconds=profile.duration,
         heading=pi - SEED,
+        swivel=0.0,
     )
     samples = driven.samples
     stage.tell("directly")
@@ -112,7 +113,7 @@ def figure_7(stage: Stage) -> Found:
         return Order(min(SLOW, SLOW * t), 0.0, 0.0, settings)
 
     stage.tell("through the service")
-    driven = drive(setup, order, stage, seconds=seconds, heading=pi - ASKEW)
+    driven = drive(setup, order, stage, seconds=seconds, heading=pi - ASKEW, swivel=trailing(pulled=True))
     samples = driven.samples
     stage.tell("kinematics")
     steps = ideal.drive(
@@ -200,7 +201,7 @@ def robots_along(samples: Sequence[Sample], spacing: float) -> list[DrawnRobot]:
         way += hypot(sample.x - before.x, sample.y - before.y)
         before = sample
         if way >= spacing or (sample is samples[-1] and way > 0.5 * spacing):
-            found.append(DrawnRobot(sample.x, sample.y, sample.chassis))
+            found.append(DrawnRobot(sample.x, sample.y, sample.chassis, sample.swivel))
             way = 0.0
     return found
 
