@@ -14,6 +14,7 @@ from gateway.config import load
 from replay.sim.plants import DYNAMICS, SIMPLE, plant_of
 from replay.sim.plants.contract import Point
 from replay.sim.plants.offset_caster import OffsetCaster, parameters
+from replay.sim.plants.offset_dynamics import OffsetDynamics
 from replay.sim.plants.offset_parameters import JOINT, PLATFORM, SETS, SWIVEL, X, Y, trailing
 from tests.replay.offset_multipliers import PRESETS
 from tests.replay.offset_multipliers import OffsetDynamics as WithMultipliers
@@ -146,6 +147,20 @@ def test_energy_is_what_motors_pushes_and_friction_give() -> None:
         work += H / 2.0 * (before + power(swung(step)))
     assert plant.energy > 0.5
     assert plant.energy == pytest.approx(work, rel=1e-4)
+
+
+def test_momentum_is_what_the_ground_gives() -> None:
+    """Between two substeps, against the inverse dynamics of the same motion in the middle."""
+    plant, robot = started(heading=0.4, swivel=0.3), OffsetDynamics(SETS["B"])
+    for step in range(700):
+        plant.step(swung(step))
+    before, place, (v, w, platform) = plant.momentum, plant.coordinates, plant.velocity
+    plant.step(swung(700))
+    heading = place[PLATFORM] - place[JOINT]
+    free = (v * cos(heading) - 0.25 * w * sin(heading), v * sin(heading) + 0.25 * w * cos(heading), platform)
+    ground = robot.inverse(place, free, robot.acceleration(place, free, swung(700))).ground
+    after = plant.momentum
+    assert ((after[0] - before[0]) / H, (after[1] - before[1]) / H) == pytest.approx(ground, rel=5e-3)
 
 
 @pytest.mark.parametrize("pulled", [False, True])
