@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.config import load
-from replay.sim.plants import DYNAMICS, SIMPLE, plant_of
-from replay.sim.plants.contract import Point
+from replay.sim.plants import plant_of
+from replay.sim.plants.contract import PlantName, Point
 from replay.sim.plants.offset_caster import OffsetCaster, parameters
 from replay.sim.plants.offset_dynamics import OffsetDynamics
 from replay.sim.plants.offset_parameters import JOINT, PLATFORM, SETS, SWIVEL, X, Y, trailing
@@ -207,10 +207,10 @@ def test_lengths_masses_and_friction_are_those_of_the_robot_file() -> None:
 def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused() -> None:
     robot = moby()
     with pytest.raises(ValueError, match=r"plant = 'dynamics': robot\.caster is missing"):
-        plant_of(robot.model_copy(update={"caster": None}), DYNAMICS)
-    with pytest.raises(ValueError, match=r"plant = 'dynamics': a robot of kind omni has simple"):
-        plant_of(load(MOBY.with_name("omni4.toml"))[0].robot, DYNAMICS)
-    assert plant_of(robot, SIMPLE).twist == plant_of(robot).twist
+        plant_of(robot.model_copy(update={"caster": None}), PlantName.DYNAMICS)
+    with pytest.raises(ValueError, match=r"plant = 'dynamics': for a robot of kind omni there is 'simple'"):
+        plant_of(load(MOBY.with_name("omni4.toml"))[0].robot, PlantName.DYNAMICS)
+    assert plant_of(robot, PlantName.SIMPLE).twist == plant_of(robot).twist
 
 
 # -- the ground -------------------------------------------------------------------------------------------------------
