@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.config import load
-from replay.sim.plants import DYNAMICS, SIMPLE, plant_of
-from replay.sim.plants.contract import Point
+from replay.sim.plants import plant_of
+from replay.sim.plants.contract import PlantName, Point
 from replay.sim.plants.offset_caster import OffsetCaster, parameters
+from replay.sim.plants.offset_dynamics import OffsetDynamics
 from replay.sim.plants.offset_parameters import JOINT, PLATFORM, SETS, SWIVEL, X, Y, trailing
 from tests.replay.offset_multipliers import PRESETS
 from tests.replay.offset_multipliers import OffsetDynamics as WithMultipliers
@@ -148,6 +149,20 @@ def test_energy_is_what_motors_pushes_and_friction_give() -> None:
     assert plant.energy == pytest.approx(work, rel=1e-4)
 
 
+def test_momentum_is_what_the_ground_gives() -> None:
+    """Between two substeps, against the inverse dynamics of the same motion in the middle."""
+    plant, robot = started(heading=0.4, swivel=0.3), OffsetDynamics(SETS["B"])
+    for step in range(700):
+        plant.step(swung(step))
+    before, place, (v, w, platform) = plant.momentum, plant.coordinates, plant.velocity
+    plant.step(swung(700))
+    heading = place[PLATFORM] - place[JOINT]
+    free = (v * cos(heading) - 0.25 * w * sin(heading), v * sin(heading) + 0.25 * w * cos(heading), platform)
+    ground = robot.inverse(place, free, robot.acceleration(place, free, swung(700))).ground
+    after = plant.momentum
+    assert ((after[0] - before[0]) / H, (after[1] - before[1]) / H) == pytest.approx(ground, rel=5e-3)
+
+
 @pytest.mark.parametrize("pulled", [False, True])
 @pytest.mark.parametrize("start", [-1.3, 0.3, 1.3])
 def test_the_caster_swivels_to_the_trailing_side(pulled: bool, start: float) -> None:
@@ -192,10 +207,10 @@ def test_lengths_masses_and_friction_are_those_of_the_robot_file() -> None:
 def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused() -> None:
     robot = moby()
     with pytest.raises(ValueError, match=r"plant = 'dynamics': robot\.caster is missing"):
-        plant_of(robot.model_copy(update={"caster": None}), DYNAMICS)
-    with pytest.raises(ValueError, match=r"plant = 'dynamics': a robot of kind omni has simple"):
-        plant_of(load(MOBY.with_name("omni4.toml"))[0].robot, DYNAMICS)
-    assert plant_of(robot, SIMPLE).twist == plant_of(robot).twist
+        plant_of(robot.model_copy(update={"caster": None}), PlantName.DYNAMICS)
+    with pytest.raises(ValueError, match=r"plant = 'dynamics': for a robot of kind omni there is 'simple'"):
+        plant_of(load(MOBY.with_name("omni4.toml"))[0].robot, PlantName.DYNAMICS)
+    assert plant_of(robot, PlantName.SIMPLE).twist == plant_of(robot).twist
 
 
 # -- the ground -------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from gateway.types import ZERO_TWIST, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import PLANTS, plant_of
-from replay.sim.plants.contract import Plant
+from replay.sim.plants.contract import Plant, PlantName
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 Torques = tuple[float, ...]
@@ -46,7 +46,7 @@ class Subject(NamedTuple):
 def subjects() -> dict[str, Subject]:
     robots = {path.stem: load(path)[0].robot for path in sorted(ROBOTS.glob("*.toml"))}
     return {
-        f"{name}-{plant}": Subject(robot, make)
+        f"{name}-{plant.value}": Subject(robot, make)
         for name, robot in robots.items()
         for plant, make in PLANTS[robot.kind].items()
     }
@@ -292,7 +292,7 @@ def test_the_reflected_inertia_a_controller_was_tuned_to_does_not_change_with_a_
 def test_the_simulated_controllers_drive_the_plant_they_are_given(name: str, plant: str) -> None:
     """On a load of 1000 kg the same torques, limited as they are, move the robot less."""
     config = load(ROBOTS / f"{name}.toml")[0]
-    light, heavy = plant_of(config.robot, plant), plant_of(config.robot, plant)
+    light, heavy = (plant_of(config.robot, PlantName(plant)) for _ in range(2))
     heavy.set_mass(1000.0)
     ways = []
     for one in (light, heavy):

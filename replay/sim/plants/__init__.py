@@ -4,16 +4,12 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from replay.sim.plants import offset_caster, offset_differential, omni
-from replay.sim.plants.contract import Plant
+from replay.sim.plants.contract import Plant, PlantName
 
-SIMPLE = "simple"  # one rigid body on its wheels; every kind has it
-DYNAMICS = "dynamics"  # every body that the robot is made of
-
-PLANTS: dict[str, dict[str, Callable[[Any], Plant]]] = {
-    "omni": {SIMPLE: omni.plant},
-    "offset_differential": {SIMPLE: offset_differential.plant, DYNAMICS: offset_caster.plant},
+PLANTS: dict[str, dict[PlantName, Callable[[Any], Plant]]] = {
+    "omni": {PlantName.SIMPLE: omni.plant},
+    "offset_differential": {PlantName.SIMPLE: offset_differential.plant, PlantName.DYNAMICS: offset_caster.plant},
 }
-NAMES = tuple(dict.fromkeys(name for row in PLANTS.values() for name in row))
 
 
 class _OfKind(Protocol):
@@ -23,12 +19,13 @@ class _OfKind(Protocol):
     def kind(self) -> str: ...
 
 
-def plant_of(robot: _OfKind, name: str = SIMPLE) -> Plant:
+def plant_of(robot: _OfKind, name: PlantName = PlantName.SIMPLE) -> Plant:
     """The plant of this name for the robot of a robot file. Raises ValueError where it has none, with the reason."""
     row = PLANTS[robot.kind]
     if name not in row:
-        raise ValueError(f"plant = {name!r}: a robot of kind {robot.kind} has {', '.join(row)}")
+        known = ", ".join(repr(one.value) for one in row)
+        raise ValueError(f"plant = {name.value!r}: for a robot of kind {robot.kind} there is {known}")
     try:
         return row[name](robot)
     except ValueError as error:
-        raise ValueError(f"plant = {name!r}: {error}") from None
+        raise ValueError(f"plant = {name.value!r}: {error}") from None

@@ -89,6 +89,13 @@ class Plant(Protocol):
         ...
 
 
+class PlantName(Enum):
+    """Which plant, as scenarios, commands and sessions have it."""
+
+    SIMPLE = "simple"  # one rigid body on its wheels; every kind has it
+    DYNAMICS = "dynamics"  # every body that the robot is made of
+
+
 class Point(Enum):
     """Where a force can act on a chassis that has such a point."""
 
@@ -97,8 +104,10 @@ class Point(Enum):
 
 
 @runtime_checkable
-class Touchable(Protocol):
-    """A plant with named points; not every one knows them."""
+class WithCaster(Protocol):
+    """A plant with a caster and named points of its chassis; not every one has them."""
+
+    swivel: float  # rad, of the caster's fork against the chassis
 
     def set_force(self, point: Point, along: float, across: float) -> None:
         """N along the chassis and to its left, turning with it, until told otherwise."""

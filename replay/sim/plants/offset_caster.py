@@ -140,6 +140,13 @@ class OffsetCaster:
         return energy
 
     @property
+    def momentum(self) -> tuple[float, float]:
+        """Of all bodies along world x and y, kg m/s: what the ground and pushes give."""
+        along, across = self._equations.momentum(*sin_cos(self.swivel), self._velocity)
+        s, c = sin_cos(self.chassis_angle)
+        return c * along - s * across, s * along + c * across
+
+    @property
     def slipping(self) -> tuple[int, ...]:
         """Joints whose wheels slip."""
         return tuple(wheel for wheel in _WHEELS if wheel in self._spins and abs(self._slip(wheel)) > _NO_SLIP)

@@ -163,6 +163,12 @@ class OffsetEquations:
             0.0,
         )
 
+    def momentum(self, s: float, c: float, motion: Motion) -> tuple[float, float]:
+        """Sum of mass times velocity of all bodies, kg m/s in chassis axes."""
+        v, w, _ = motion
+        small, trailed = self._caster.mass, self._caster.behind * (c * v + s * self._reach * w)
+        return (self._mass + small) * v - trailed * c, (self._moment + small * self._reach) * w - trailed * s
+
     def ground(self, s: float, c: float, motion: Motion, change: Motion) -> tuple[float, float]:
         """Sum of mass times acceleration of all bodies, N in chassis axes: without a push, the force of the ground."""
         v, w, _ = motion
