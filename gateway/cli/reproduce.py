@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 EXIT_MISSED = 1
 PAGE = "reproduction.html"
+WIDE = 140  # columns of a terminal that has room for what is allowed, and for the notes
 Tell = Callable[[str], None]
 
 
@@ -109,12 +110,13 @@ def _tell(results: Sequence["Result"], page: Path | None, *, json: bool) -> None
 
 def _show(result: "Result") -> None:
     tables = import_module("replay.reproduce.tables")
-    table = Table(*tables.HEADINGS, title=result.title)
+    shown = len(tables.HEADINGS) if console.width >= WIDE else tables.FIGURES  # the rest is in the table's file
+    table = Table(*tables.HEADINGS[:shown], title=result.title)
     for row in result.rows:
-        table.add_row(*tables.cells(row), style="red" if row.missed else None)
+        table.add_row(*tables.cells(row)[:shown], style="red" if row.missed else None)
     console.print(table)
     for note in result.notes:
         console.print(f"  {note}", highlight=False)
     for words, path in result.sessions.items():
         console.print(f"session, {words}: {path}", highlight=False)
-    console.print(f"picture {result.picture}", highlight=False)
+    console.print(f"picture {result.picture}\ntable {result.table}", highlight=False)

@@ -1,7 +1,7 @@
 """What comes of an experiment: rows of a table, a picture, sessions, and what has to be said of them."""
 
 from collections.abc import Callable
-from math import inf
+from math import inf, isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +9,10 @@ from replay.reproduce.picture import Picture
 
 
 class Row(NamedTuple):
-    """One quantity. `paper`: as printed there, None where it is not; `allowed`: where science section 6 bounds it."""
+    """One quantity. `paper`: as printed there, None where it is not; `allowed`: where science section 6 bounds it.
+
+    `ours` is infinite where what is waited for never comes.
+    """
 
     quantity: str
     unit: str
@@ -33,7 +36,7 @@ class Row(NamedTuple):
         return {
             "quantity": self.quantity,
             "paper": self.paper,
-            "ours": self.ours,
+            "ours": self.ours if isfinite(self.ours) else None,
             "unit": self.unit,
             "note": self.note,
         }

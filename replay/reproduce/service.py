@@ -15,6 +15,7 @@ from replay.drive.closed_loop import ClosedLoop
 from replay.drive.recording import SessionRecording
 from replay.reproduce.result import ReproduceError, Stage
 from replay.reproduce.robot import ORIGIN, Setup, plant_of, robot_file
+from replay.sim.plants.contract import PlantName
 from replay.sim.plants.offset_caster import OffsetCaster
 
 SOURCE = "experiment"
@@ -77,7 +78,14 @@ def drive(
     """
     config, text = robot_file(setup)
     examine(config, ORIGIN)
-    recording = SessionRecording(config, text, ORIGIN, directory=stage.folder, started_wall_ns=stage.started_wall_ns)
+    recording = SessionRecording(
+        config,
+        text,
+        ORIGIN,
+        directory=stage.folder,
+        started_wall_ns=stage.started_wall_ns,
+        plant=PlantName.DYNAMICS,
+    )
     plant = plant_of(config, swivel=swivel)
     drive_ = _Drive(ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant), plant, recording)
     try:
@@ -85,13 +93,6 @@ def drive(
     finally:
         recording.close()
     return Driven(samples, tuple(drive_.events), recording.session)
-
-
-def free_of(plant: OffsetCaster) -> tuple[float, float, float]:
-    """Velocity of the joint over the floor, m/s, and rate of the platform, rad/s."""
-    twist = plant.twist
-    vx, vy = _over_the_floor(twist, plant.pose.theta)
-    return vx, vy, twist.wz
 
 
 class _Drive:

@@ -8,6 +8,7 @@ from math import inf, isfinite
 from replay.reproduce.result import Result, Row
 
 HEADINGS = ("quantity", "unit", "paper", "ours", "difference", "allowed", "note")
+FIGURES = 5  # of them that are figures
 
 
 def cells(row: Row) -> tuple[str, ...]:

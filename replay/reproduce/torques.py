@@ -1,6 +1,5 @@
 """Figures 11 to 14: what motors and ground have to give, for the flip, when it is compensated, and for the caster."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 from math import degrees, hypot, inf, pi
 from typing import NamedTuple
@@ -18,8 +17,8 @@ from replay.reproduce.direct import (
 from replay.reproduce.picture import Level, Line, Mark, Panel, Picture
 from replay.reproduce.result import Found, Row, Stage, at_least, within
 from replay.reproduce.robot import setup_of
-from replay.reproduce.service import Driven, Order, drive, free_of
-from replay.sim.plants.offset_dynamics import OffsetDynamics
+from replay.reproduce.service import Driven, Order, drive
+from replay.reproduce.straight import NOT_PRINTED
 from replay.sim.plants.offset_parameters import SETS, trailing
 
 # Printed: N m and N, without and with compensation.
@@ -42,9 +41,6 @@ FITTED = {
 SHOWN = "B"  # the set that is drawn and driven
 AHEAD = 1e-13  # rad off the balance: the caster comes out of it during the hold; the side gives the right wheel
 TRAILED = 5.0  # deg from where it trails, within which the caster counts as settled
-
-
-Seen = tuple[tuple[float, ...], tuple[float, float, float]]  # all coordinates of a plant, and its free speeds
 
 
 class Loop(NamedTuple):
@@ -131,7 +127,7 @@ def figure_13(stage: Stage) -> Found:
             "M10: pulled it goes to +90",
             within(90.0, 0.5),
         ),
-        Row("swivel at the end of the acceleration, service", "deg", degrees(_at(loop, quarter)), None, _service()),
+        Row("swivel at the end of the acceleration, service", "deg", degrees(_at(loop, quarter)), None, NOT_PRINTED),
     ]
     instants = found[SHOWN]
     times = [sample.t for sample in loop.driven.samples if sample.t <= quarter]
@@ -185,9 +181,15 @@ def figure_14(stage: Stage) -> Found:
     across = next((s.t for s, angle in zip(samples, loop.swivels, strict=True) if abs(degrees(angle) + 90) > 90), inf)
     error = max(degrees(abs(sample.error)) for sample in samples if sample.error is not None)
     rows += [
-        Row("peak torque in the hold", "N m", _peak_between(loop, across - 0.2, across + 0.2), PAPER_POP, _service()),
-        Row("time when the caster lies across", "s", across, None, _service()),
-        Row("largest error of the chassis", "deg", error, None, _service()),
+        Row(
+            "peak torque as it comes out, service",
+            "N m",
+            _peak_between(loop, across - 0.2, across + 0.2),
+            PAPER_POP,
+            f"set {SHOWN}",
+        ),
+        Row("time when the caster lies across, service", "s", across, None, NOT_PRINTED),
+        Row("largest error of the chassis, service", "deg", error, None, NOT_PRINTED),
     ]
     other = found["C"]
     marks = (Mark("hold", 0.25 * DURATIONS[SHOWN], 0.75 * DURATIONS[SHOWN]),)
@@ -237,7 +239,7 @@ def figure_14(stage: Stage) -> Found:
 
 def _looped(stage: Stage, *, heading: float, swivel: float, gain: float | None) -> Loop:
     """The motion of section 7 with set B behind the simulated controllers, at 1 kHz."""
-    profile, seen = Profile(DURATIONS[SHOWN]), list[Seen]()
+    profile, momenta = Profile(DURATIONS[SHOWN]), list[tuple[float, float]]()
     driven = drive(
         setup_of(SETS[SHOWN], rate=1.0 / PERIOD, gain=gain),
         lambda t, _: Order(profile.speed(t), 0.0, 0.0),
@@ -245,18 +247,10 @@ def _looped(stage: Stage, *, heading: float, swivel: float, gain: float | None) 
         seconds=profile.duration,
         heading=heading,
         swivel=swivel,
-        disturb=lambda _, plant: seen.append((plant.coordinates, free_of(plant))),
+        disturb=lambda _, plant: momenta.append(plant.momentum),
     )
-    return Loop(driven, [sample.swivel for sample in driven.samples], _forces_of(seen))
-
-
-def _forces_of(seen: Sequence[Seen]) -> list[float]:
-    """What the ground gave in each cycle, N, by how the free speeds changed in it."""
-    robot, found = OffsetDynamics(SETS[SHOWN]), list[float]()
-    for (place, before), (_, after) in pairwise(seen):
-        change = [(b - a) / PERIOD for a, b in zip(before, after, strict=True)]
-        found.append(hypot(*robot.inverse(place, before, change).ground))
-    return [*found, found[-1]]
+    forces = [hypot(b[0] - a[0], b[1] - a[1]) / PERIOD for a, b in pairwise(momenta)]  # the ground gives what they gain
+    return Loop(driven, [sample.swivel for sample in driven.samples], [*forces, forces[-1]])
 
 
 def _peak_between(loop: Loop, start: float, end: float) -> float:
@@ -298,7 +292,7 @@ def _loop_rows(flipped: Loop, kept: Loop) -> list[Row]:
     for words, loop in (("uncompensated", flipped), ("compensated", kept)):
         torque, wheel = loop.peak
         key = "free" if loop is flipped else "held"
-        note = f"{wheel} wheel; set {SHOWN}; {_service()}"
+        note = f"{wheel} wheel; set {SHOWN}"
         rows.append(Row(f"peak torque, {words}, service", "N m", torque, PAPER[f"{key} torque"], note))
         force = max(loop.forces)
         rows.append(Row(f"peak force, {words}, service", "N", force, PAPER[f"{key} force"], f"set {SHOWN}"))
@@ -335,7 +329,3 @@ def _forces(title: str, given: dict[str, list[Instant]], loop: Loop, paper: floa
 
 def _given() -> str:
     return "motion given; not printed"
-
-
-def _service() -> str:
-    return "through the service"
