@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -13,9 +13,7 @@ from rich.table import Table
 
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
-
-if TYPE_CHECKING:
-    from replay.reproduce.result import Result
+from replay.reproduce.result import ReproduceError, Result
 
 EXIT_MISSED = 1
 PAGE = "reproduction.html"
@@ -32,7 +30,7 @@ def reproduce(
     """Run experiments of the MOBY paper again, and compare.
 
     Each writes its sessions, a picture and a table (paper, ours, difference) into OUT/NAME; --all also writes one page
-    of everything, OUT/reproduction.html. Exit 1 where a row misses what it is allowed.
+    of everything, OUT/reproduction.html. Exit 1 where a row misses what it is allowed, or a robot does not start.
 
     --json: name, rows (each quantity, paper, ours, unit, note), session, picture; also sessions, table and missed (the
     rows that do). With --all: experiments (a list of these), page and missed.
@@ -56,6 +54,9 @@ def reproduce(
         page = _write_page(results, out) if everything else None
     except OSError as error:
         raise ConfigError(str(out), [f"cannot be written: {error.strerror}"]) from None
+    except ReproduceError as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_MISSED) from None
     _tell(results, page, json=json)
     if any(result.missed for result in results):
         raise typer.Exit(EXIT_MISSED)
@@ -87,13 +88,13 @@ def _progress(parts: int) -> Iterator[Callable[[str], Tell]]:
         yield lambda name: lambda words: begin(name, words)
 
 
-def _write_page(results: Sequence["Result"], out: Path) -> Path:
+def _write_page(results: Sequence[Result], out: Path) -> Path:
     page = out / PAGE
     page.write_text(import_module("replay.reproduce.tables").page(results), encoding="utf-8")
     return page
 
 
-def _tell(results: Sequence["Result"], page: Path | None, *, json: bool) -> None:
+def _tell(results: Sequence[Result], page: Path | None, *, json: bool) -> None:
     missed = [f"{result.name}: {row.quantity}" for result in results for row in result.missed]
     if json and page is None:
         print_json(results[0].as_json())
@@ -108,7 +109,7 @@ def _tell(results: Sequence["Result"], page: Path | None, *, json: bool) -> None
         complain(f"missed: {words}")
 
 
-def _show(result: "Result") -> None:
+def _show(result: Result) -> None:
     tables = import_module("replay.reproduce.tables")
     shown = len(tables.HEADINGS) if console.width >= WIDE else tables.FIGURES  # the rest is in the table's file
     table = Table(*tables.HEADINGS[:shown], title=result.title)

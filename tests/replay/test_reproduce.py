@@ -16,7 +16,7 @@ from replay.compare.verify import verify
 from replay.reproduce import drawing, experiments, hits, tables
 from replay.reproduce.experiments import EXPERIMENTS, Experiment
 from replay.reproduce.picture import Line, Panel, Picture
-from replay.reproduce.result import Found, Row, Stage, at_least, within
+from replay.reproduce.result import Found, ReproduceError, Row, Stage, at_least, within
 from replay.sessions.reader import open_session
 
 NAMES = ["moby-fig5", "moby-fig7", "moby-fig8", "moby-fig9", "moby-fig11", "moby-fig13", "moby-fig14", "moby-fig15"]
@@ -174,6 +174,14 @@ def test_an_unknown_name_is_told_those_that_there_are(tmp_path: Path) -> None:
         called("moby-fig6", "--out", str(tmp_path))
     with pytest.raises(ConfigError, match="give either a name or --all"):
         called("good", "--all", "--out", str(tmp_path))
+
+
+def test_a_robot_that_does_not_start(replaced: dict[str, Experiment], tmp_path: Path) -> None:
+    def run(_: Stage) -> Found:
+        raise ReproduceError("the robot does not start: idle")
+
+    replaced["good"] = Experiment("Something", run, 0)
+    assert called("good", "--out", str(tmp_path))[0] == 1
 
 
 @pytest.mark.usefixtures("replaced")
