@@ -83,8 +83,8 @@ def figure_11(stage: Stage) -> Found:
         "x_B or the caster's inertias. T is set from F = m a everywhere.",
         "Only set A is free of fits, and it does not reproduce the flip: it overshoots by about 40 %. B has one number "
         "fitted, D three, C four for four targets, so that its agreement proves nothing; C and D are two different "
-        "robots that both fit. The four numbers do not tell the geometry. With d1 = 0.145 m of the real robot the force "
-        "of the flip would take 17.8 N m at least, so the simulation very probably had another d1.",
+        "robots that both fit. The four numbers do not tell the geometry. With d1 = 0.145 m of the real robot the "
+        "force of the flip would take 17.8 N m at least, so the simulation very probably had another d1.",
         "The force is the magnitude of the sum of the ground's vectors; the paper does not say whether it adds vectors "
         "or magnitudes.",
         "An error of 2 mrad at the start makes the flip happen during the hold; its peaks do not depend on the "
