@@ -33,6 +33,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "sim": "sim",
     "scenario": "scenario",
     "replay": "replay",
+    "reproduce": "reproduce",
 }
 
 

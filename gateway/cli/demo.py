@@ -30,6 +30,8 @@ from gateway.edges.messages import OdometryMessage, StateMessage, TruthMessage
 from gateway.types import ZERO_TWIST, Twist
 from replay.compare.verify import Verdict
 from replay.sessions.reader import open_session
+from replay.sim.plants.contract import PlantName
+from replay.sim.robot import chosen_plant
 
 SOURCE = "autonomy"
 START_TIMEOUT_S = 30.0
@@ -53,9 +55,11 @@ class Drive(NamedTuple):
     truth: TruthMessage
 
 
-def demo(  # a command line: each parameter is an option with a name
+def demo(
+    *,
     robot: Annotated[str, typer.Option(help="moby, omni4, or a robot file.")] = "moby",
     seconds: Annotated[float, typer.Option(min=5.0, max=600.0, help="Length of the course, s.")] = 20.0,
+    plant: Annotated[PlantName, typer.Option(help="By what the robot moves.")] = PlantName.SIMPLE,
     out: Annotated[Path, typer.Option(help="Directory for the session.")] = Path("sessions"),
     viewer: Annotated[bool, typer.Option("--viewer/--no-viewer", help="Show the session afterwards.")] = True,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
@@ -63,10 +67,11 @@ def demo(  # a command line: each parameter is an option with a name
     """Drive a simulated robot over Zenoh, record it, verify the recording, and show it."""
     path = robot_files.find(robot)
     config, _ = load(path)
+    chosen_plant(config, plant, str(path))  # refused here, in the user's sight, and not by the service
     out.mkdir(parents=True, exist_ok=True)
     top = config.limits.velocity.as_twist()
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
-    with _service(path, out, endpoint) as process, Client(config.robot.name, connect=[endpoint]) as client:
+    with _service(path, plant, out, endpoint) as process, Client(config.robot.name, connect=[endpoint]) as client:
         drive = _drive(client, process, top, seconds)
     if process.returncode != 0:
         complain(f"the service ended with exit code {process.returncode}; its log is {out / 'service.log'}")
@@ -90,9 +95,10 @@ def _free_port() -> int:
 
 
 @contextmanager
-def _service(path: Path, out: Path, endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
+def _service(path: Path, plant: PlantName, out: Path, endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
     """The gateway with the simulated robot, as a process of its own; ended by SIGTERM, as systemd would."""
-    command = [sys.executable, "-m", "gateway", "run", str(path), "--simulate", "--out", str(out)]
+    command = [sys.executable, "-m", "gateway", "run", str(path), "--simulate"]
+    command += ["--plant", plant.value, "--out", str(out)]
     with (out / "service.log").open("wb") as log:
         process = subprocess.Popen(
             [*command, "--endpoint", endpoint], stderr=log, stdin=subprocess.DEVNULL, env=os.environ

@@ -23,6 +23,8 @@ from gateway.recording.recorder import NullRecorder, Recorder
 from gateway.service import Service
 from gateway.types import Outputs
 from replay.sim.bus import SimulatedBus
+from replay.sim.plants.contract import PlantName
+from replay.sim.robot import SimulatedRobot, chosen_plant
 
 CLOSE_RECORDING_S = 20.0
 SWITCH_INTERVAL_S = 0.0005  # how long another thread may hold the loop up for the interpreter lock
@@ -30,7 +32,11 @@ SWITCH_INTERVAL_S = 0.0005  # how long another thread may hold the loop up for t
 
 def run(
     file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    *,
     simulate: Annotated[bool, typer.Option("--simulate", help="Drive the simulated robot, not a bus.")] = False,
+    plant: Annotated[
+        PlantName | None, typer.Option(help="By what the simulated robot moves; simple unless told.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory for sessions instead of the robot file's.")] = None,
     state: Annotated[
         Path | None,
@@ -39,6 +45,8 @@ def run(
     endpoint: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on instead.")] = None,
 ) -> None:
     """Run the drive gateway of one robot until SIGTERM, or any other signal that would end it."""
+    if plant is not None and not simulate:
+        raise typer.BadParameter("belongs to --simulate", param_hint="--plant")
     ending = EndRequest()
     ending.listen()
     log_queue.take_over(level=logging.INFO, layout="%(levelname)s %(name)s: %(message)s")
@@ -46,15 +54,17 @@ def run(
     path = robot_files.find(file)
     config, text = load(path)
     examine(config, str(path))
+    simulated = _simulated(config, plant or PlantName.SIMPLE, str(path)) if simulate else None
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()
     with ExitStack() as stack:
         # The bus first: a second service for the same motors is refused before it records or announces anything.
-        bus = SimulatedBus(config) if simulate else CanBuses(config)
+        bus = CanBuses(config) if simulated is None else SimulatedBus(config, simulated)
         stack.callback(bus.close)
         latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
         stack.callback(latch.close)
-        recorder = Recorder(config, text, str(path)) if config.recording.enabled else NullRecorder()
+        told = None if simulated is None else (plant or PlantName.SIMPLE).value
+        recorder = Recorder(config, text, str(path), plant=told) if config.recording.enabled else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))
         realtime.enter()  # now that every thread of the link exists
@@ -71,6 +81,10 @@ def run(
         )
         code = service.run()
     raise typer.Exit(code)
+
+
+def _simulated(config: RobotConfig, plant: PlantName, origin: str) -> SimulatedRobot:
+    return SimulatedRobot(config, plant=chosen_plant(config, plant, origin))
 
 
 def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | None) -> RobotConfig:

@@ -18,6 +18,7 @@ from replay.drive.moment import Moment
 from replay.drive.scenario import Result, Watch, run_scenario
 from replay.drive.scenario_file import check_names, find_robot, load_scenario
 from replay.drive.trace import TraceWriter
+from replay.sim.plants.contract import PlantName
 
 EXIT_BROKEN = 1
 PROGRESS_CYCLES = 250
@@ -25,13 +26,17 @@ PROGRESS_CYCLES = 250
 
 def scenario(
     file: Annotated[Path, typer.Argument(help="Scenario file.")],
+    *,
     robot: Annotated[str | None, typer.Option(help="Robot file or bundled name instead of the scenario's.")] = None,
+    plant: Annotated[PlantName | None, typer.Option(help="By what the robot moves instead of the scenario's.")] = None,
     trace: Annotated[Path | None, typer.Option(help="Write a row per cycle to this CSV file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Record a session into this directory.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
     """Drive a simulated robot in virtual time through what a file says. Exit 0 as expected, 1 not, 78 a bad file."""
     wanted = load_scenario(file)
+    if plant is not None:
+        wanted = wanted.model_copy(update={"plant": plant})
     path = find_robot(wanted, file.parent, robot)
     config, text = load(path)
     examine(config, str(path))
@@ -44,7 +49,12 @@ def scenario(
         if out is not None:
             # Only now: Rerun costs half a second, and a drive without a session has no use for it.
             recording = import_module("replay.drive.recording").SessionRecording(
-                config, text, str(path), directory=out, started_wall_ns=time.clock_gettime_ns(time.CLOCK_REALTIME)
+                config,
+                text,
+                str(path),
+                directory=out,
+                started_wall_ns=time.clock_gettime_ns(time.CLOCK_REALTIME),
+                plant=wanted.plant,
             )
             stack.callback(recording.close)
         result = run_scenario(wanted, config, watch=_all(watching), recording=recording)

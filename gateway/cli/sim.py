@@ -20,6 +20,8 @@ from gateway.edges.messages import encode_truth
 from gateway.edges.zenoh_session import Receivers, open_zenoh
 from replay.sim.controllers.contract import SECOND_NS
 from replay.sim.network_device import MotorsInterface
+from replay.sim.plants.contract import PlantName
+from replay.sim.robot import chosen_plant
 from replay.sim.server import SimulationServer
 
 TRUTH_RATE_HZ = 20.0
@@ -30,6 +32,7 @@ def sim(
     file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
     channel: Annotated[str | None, typer.Option(help="CAN interface instead of the robot file's, e.g. vcan0.")] = None,
     tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
+    plant: Annotated[PlantName, typer.Option(help="By what the robot moves.")] = PlantName.SIMPLE,
     endpoint: Annotated[
         str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`).")
     ] = None,
@@ -42,11 +45,13 @@ def sim(
     path = robot_files.find(file)
     config, _ = load(path)
     examine(config, str(path))
+    moving = chosen_plant(config, plant, str(path))
     ended = Event()
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     Thread(target=_await_signal, args=(ended,), name="signals", daemon=True).start()
     with ExitStack() as stack:
-        server = SimulationServer(config, _interfaces(config, channel, stack), tick_ns=tick * SECOND_NS // 1000)
+        buses = _interfaces(config, channel, stack)
+        server = SimulationServer(config, buses, tick_ns=tick * SECOND_NS // 1000, plant=moving)
         if endpoint is not None:
             stack.enter_context(_telling(server, config.robot.name, endpoint, ended))
         server.run(ended)

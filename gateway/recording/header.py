@@ -31,6 +31,7 @@ def header(hello: Hello, *, session: str, robot: str) -> Header:
         started_wall_ns=hello.started_wall_ns,
         wall_minus_mono_ns=hello.wall_minus_mono_ns,
         sealed=True,
+        plant=hello.plant,
     )
 
 

@@ -50,7 +50,9 @@ class _Waiting(NamedTuple):
 class Recorder:
     """Starts the recorder process and waits for it, but not for long. Raises RecorderError when it refuses."""
 
-    def __init__(self, config: RobotConfig, config_text: str, config_origin: str = "robot file") -> None:
+    def __init__(
+        self, config: RobotConfig, config_text: str, config_origin: str = "robot file", *, plant: str | None = None
+    ) -> None:
         wall_ns, mono_ns = time.clock_gettime_ns(time.CLOCK_REALTIME), time.monotonic_ns()
         self.session: Path | None = None
         self.error: str | None = None
@@ -61,6 +63,7 @@ class Recorder:
             folder=None,
             started_wall_ns=wall_ns,
             wall_minus_mono_ns=wall_ns - mono_ns,
+            plant=plant,
         )
         self._backlog: deque[_Waiting] = deque()
         self._backlog_bytes = 0

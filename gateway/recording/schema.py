@@ -110,6 +110,7 @@ class Header(msgspec.Struct, frozen=True):
     wall_minus_mono_ns: int
     sealed: bool = False  # each segment ends with a seal; recordings from before there were any do not
     first_segment: int = 1  # those before it were deleted to make room
+    plant: str | None = None  # by what a simulated robot moved; None: not simulated, or not told
 
 
 HEADER_PATH = "/header"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
-from replay.sim.plants import PLANTS
+from replay.sim.plants import plant_of
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 
@@ -35,6 +35,7 @@ class FaultKind(Enum):
     FRAMES_DELAYED = "frames_delayed"
     PUSH = "push"
     SLOPE = "slope"
+    IMPACT = "impact"
     FRICTION = "friction"
     MASS = "mass"
     LOOP_PAUSE = "loop_pause"
@@ -48,6 +49,7 @@ class Target(Enum):
     WHEEL = "wheel"  # a motor that drives a wheel
     BUS = "bus"
     WORLD = "world"
+    CASTER = "caster"  # of a plant that has one
     LOOP = "loop"
 
 
@@ -179,6 +181,14 @@ def _push_none(broken: Broken) -> None:
     broken.world.robot.set_push(0.0)
 
 
+def _hit(broken: Broken) -> None:
+    broken.world.robot.set_impact(broken.value)
+
+
+def _let_go(broken: Broken) -> None:
+    broken.world.robot.set_impact(0.0)
+
+
 def _tilt(broken: Broken) -> None:
     broken.world.robot.set_slope(broken.value)
 
@@ -242,6 +252,13 @@ RULES: dict[FaultKind, Rule] = {
     FaultKind.PUSH: Rule(
         Target.WORLD, _push, _push_none, Range(-1e5, 1e5, "N along world x, -100000 to 100000"), timed=True
     ),
+    FaultKind.IMPACT: Rule(
+        Target.CASTER,
+        _hit,
+        _let_go,
+        Range(-1e5, 1e5, "N at the caster's joint, to the left of the chassis, -100000 to 100000"),
+        timed=True,
+    ),
     FaultKind.SLOPE: Rule(Target.WORLD, _tilt, _level, Range(-0.7, 0.7, "rad, rising along world x, -0.7 to 0.7")),
     FaultKind.FRICTION: Rule(Target.WHEEL, _ground, _good_ground, Range(0.0, 10.0, "a friction coefficient, 0 to 10")),
     FaultKind.MASS: Rule(Target.WORLD, _load, _unload, Range(0.1, 5000.0, "kg in total, 0.1 to 5000")),
@@ -276,7 +293,7 @@ def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
     for name in buses:
         for change in (_up, _lose_none, _delay_none):
             change(Broken(world, name))
-    for change in (_push_none, _level, _unload):
+    for change in (_push_none, _level, _unload, *((_let_go,) if world.robot.has_caster else ())):
         change(Broken(world, ""))
 
 
@@ -295,4 +312,4 @@ def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: s
 def wheels(config: RobotConfig) -> tuple[str, ...]:
     """Motors that drive a wheel, in chassis order."""
     names = config.robot.motor_names()
-    return tuple(names[joint] for joint in PLANTS[config.robot.kind](config.robot).wheels)
+    return tuple(names[joint] for joint in plant_of(config.robot).wheels)

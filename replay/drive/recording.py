@@ -10,6 +10,7 @@ from gateway.recording.recorder import RecorderError
 from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Inputs, Outputs
 from replay.drive.closed_loop import FIRST_NS
+from replay.sim.plants.contract import PlantName
 
 BATCH = 250  # cycles
 
@@ -17,14 +18,25 @@ BATCH = 250  # cycles
 class SessionRecording:
     """A session in a directory, and another one after each restart of the process. `session`: the last one.
 
-    `started_wall_ns`: the wall time of the first cycle; later ones follow in virtual time.
+    `started_wall_ns`: the wall time of the first cycle; later ones follow in virtual time. `plant`: by what the
+    robot moves; None: by none that has a name.
     """
 
-    def __init__(self, config: RobotConfig, text: str, origin: str, *, directory: Path, started_wall_ns: int) -> None:
+    def __init__(
+        self,
+        config: RobotConfig,
+        text: str,
+        origin: str,
+        *,
+        directory: Path,
+        started_wall_ns: int,
+        plant: PlantName | None = None,
+    ) -> None:
         settings = config.recording.model_copy(update={"directory": str(directory)})
         self._config = config.model_copy(update={"recording": settings})
         self._text = text
         self._origin = origin
+        self._plant = plant
         self._wall_minus_mono_ns = started_wall_ns - FIRST_NS
         self._now_ns = FIRST_NS
         self._waiting: list[Record] = []
@@ -70,6 +82,7 @@ class SessionRecording:
             folder=None,
             started_wall_ns=self._now_ns + self._wall_minus_mono_ns,
             wall_minus_mono_ns=self._wall_minus_mono_ns,
+            plant=None if self._plant is None else self._plant.value,
         )
         return SessionWriter(self._config, hello)
 

@@ -26,6 +26,7 @@ from gateway.edges.messages import QUANTITIES
 from gateway.types import Mode, Request, RequestKind, SensorSample, TwistCommand
 from replay.compare.likeness import Comparison, compare, moments
 from replay.sessions.reader import Session, open_session
+from replay.sim.plants.contract import PlantName
 
 READY_S = 60.0
 Process = subprocess.Popen[bytes]
@@ -41,13 +42,13 @@ def redrive(session: Session, *, channel: str, out: Path, tick_ms: int) -> Compa
     """Drive again on this virtual channel and compare. Raises RedriveError, SessionError, ConfigError, LinkError."""
     _check_channel(channel)
     config = parse(session.config_text, "robot file of the session")
-    given = _given(session)
+    given, plant = _given(session), _plant(session)
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drivegate-")))
         file = folder / f"{config.robot.name}.toml"
         file.write_text(as_toml(_on_channel(config, channel)), encoding="utf-8")
-        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms)))
+        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms), "--plant", plant.value))
         service = stack.enter_context(_process("run", str(file), "--out", str(out), "--endpoint", endpoint))
         client = stack.enter_context(Client(config.robot.name, connect=[endpoint]))
         _await_ready(client, service)
@@ -89,6 +90,17 @@ def _free_port() -> int:
 def _on_channel(config: RobotConfig, channel: str) -> RobotConfig:
     buses = [bus.model_copy(update={"interface": "socketcan", "channel": channel}) for bus in config.bus]
     return config.model_copy(update={"bus": buses})
+
+
+def _plant(session: Session) -> PlantName:
+    """By what the robot of the session moved; of a real one, and where nothing is told, the simple plant."""
+    told = session.header.plant
+    if told is None:
+        return PlantName.SIMPLE
+    try:
+        return PlantName(told)
+    except ValueError:
+        raise RedriveError(f"its robot moved by plant {told!r}, which is not known here") from None
 
 
 _Given = TwistCommand | Request | SensorSample

@@ -24,6 +24,7 @@ from replay.drive.expectations import verdicts, watchers
 from replay.drive.faults import FaultKind
 from replay.drive.moment import Moment
 from replay.drive.scenario_file import At, Command, Fault, Scenario, check_names
+from replay.sim.plants import plant_of
 
 RESTART_S = 1.0  # from the death of the process to the first cycle of the next one; source: ours
 _SECOND_NS = 1_000_000_000
@@ -89,7 +90,10 @@ class _Drive:
     ) -> None:
         self._config = config
         self._seed = scenario.seed
-        self._loop = ClosedLoop(config, joint_angles=scenario.start.joint)
+        plant = plant_of(config.robot, scenario.plant)
+        self._loop = ClosedLoop(config, joint_angles=scenario.start.joint, plant=plant)
+        if scenario.start.swivel is not None:
+            self._loop.bus.robot.set_swivel(scenario.start.swivel)
         self._start_ns = self._loop.next_ns
         self._end_ns = self._start_ns + round(scenario.seconds * _SECOND_NS)
         self._commanders = Commanders()

@@ -14,6 +14,8 @@ from gateway.sections import Name
 from gateway.types import Mode
 from replay.drive.commanders import SENDER
 from replay.drive.faults import RULES, FaultKind, Target, wheels
+from replay.sim.plants.contract import PlantName, WithCaster
+from replay.sim.robot import chosen_plant
 
 MAX_SECONDS = 3600.0
 
@@ -139,9 +141,14 @@ class Expect(_Section):
 
 
 class Start(_Section):
-    """How the robot stands at the beginning: rad at the output of a motor, from its zero."""
+    """How the robot stands at the beginning: rad at the output of a motor, from its zero.
+
+    `swivel`: of the caster's fork against the chassis, counter-clockwise; -pi/2 as it trails behind a robot that drove
+    forward.
+    """
 
     joint: dict[Name, JointAngle] = {}
+    swivel: JointAngle | None = None
 
 
 class Scenario(_Section):
@@ -150,6 +157,7 @@ class Scenario(_Section):
     robot: Annotated[str, Field(min_length=1, max_length=256)]
     seconds: Annotated[float, Field(gt=0.0, le=MAX_SECONDS)]
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
+    plant: PlantName = PlantName.SIMPLE
     start: Start = Start()
     at: list[At] = []
     expect: list[Expect] = []
@@ -187,8 +195,18 @@ def check_names(scenario: Scenario, config: RobotConfig, origin: str) -> None:
     problems = [problem for place, at in enumerate(scenario.at) for problem in _unknown(f"at[{place}]", at, config)]
     motors = config.robot.motor_names()
     problems += [_no_such(f"start.joint.{name}", name, motors) for name in scenario.start.joint if name not in motors]
+    if not isinstance(chosen_plant(config, scenario.plant, origin), WithCaster):
+        problems += [f"{key}: needs plant = {PlantName.DYNAMICS.value!r}" for key in _about_the_caster(scenario)]
     if problems:
         raise ConfigError(origin, problems)
+
+
+def _about_the_caster(scenario: Scenario) -> Iterator[str]:
+    if scenario.start.swivel is not None:
+        yield f"start.swivel = {scenario.start.swivel:g}"
+    for place, at in enumerate(scenario.at):
+        if at.fault is not None and RULES[at.fault.kind].target is Target.CASTER:
+            yield f"at[{place}].fault.kind = {at.fault.kind.value!r}"
 
 
 def _unknown(key: str, at: At, config: RobotConfig) -> Iterator[str]:

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
-from gateway.config import Motor, RobotConfig
+from gateway.config import ConfigError, Motor, RobotConfig
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.controllers.dji import SimulatedDji
 from replay.sim.controllers.odrive import SimulatedODrive
-from replay.sim.plants import PLANTS
-from replay.sim.plants.contract import Plant
+from replay.sim.plants import plant_of
+from replay.sim.plants.contract import Plant, PlantName, Point, WithCaster
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,
@@ -62,7 +62,7 @@ class SimulatedRobot:
     def __init__(
         self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None, *, plant: Plant | None = None
     ) -> None:
-        self._plant = PLANTS[config.robot.kind](config.robot) if plant is None else plant
+        self._plant = plant_of(config.robot) if plant is None else plant
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
             for motor, inertia in zip(config.motors_in_order(), self._plant.reflected_inertia, strict=True)
@@ -131,6 +131,14 @@ class SimulatedRobot:
         """So many N along world x, at the centre of mass."""
         self._plant.push = force
 
+    def set_impact(self, force: float) -> None:
+        """So many N across the chassis, to its left, at the joint of its caster. Raises ValueError without one."""
+        self._with_caster().set_force(Point.CASTER_JOINT, 0.0, force)
+
+    def set_swivel(self, angle: float) -> None:
+        """Where the caster's fork stands before the start, rad. Raises ValueError without one."""
+        self._with_caster().swivel = angle
+
     def set_slope(self, angle: float) -> None:
         """The ground rises along world x, rad."""
         self._plant.slope = angle
@@ -138,6 +146,11 @@ class SimulatedRobot:
     def set_mass(self, mass: float | None) -> None:
         """So many kg in all, the change over the centre; None: as in the robot file."""
         self._plant.set_mass(mass)
+
+    @property
+    def has_caster(self) -> bool:
+        """Whether impact and swivel can be set."""
+        return isinstance(self._plant, WithCaster)
 
     def set_friction(self, motor: str, friction: float) -> None:
         """Coefficient of friction under the wheel of this motor; infinite: it does not slip."""
@@ -167,6 +180,11 @@ class SimulatedRobot:
         if self._plant.can_slip(place):
             self._plant.set_friction(place, inf)
 
+    def _with_caster(self) -> WithCaster:
+        if isinstance(self._plant, WithCaster):
+            return self._plant
+        raise ValueError("this plant has no caster")
+
     def _time(self) -> int:
         if self._time_ns is None:
             raise RuntimeError("the simulated robot has not been started")
@@ -178,6 +196,14 @@ class SimulatedRobot:
             Shaft((angle + joint.zero) * joint.scale, rate * joint.scale)
             for joint, angle, rate in zip(self._joints, plant.angles, plant.rates, strict=True)
         ]
+
+
+def chosen_plant(config: RobotConfig, name: PlantName, origin: str) -> Plant:
+    """The plant of this name for this robot. Raises ConfigError, told of `origin`, where there is none."""
+    try:
+        return plant_of(config.robot, name)
+    except ValueError as error:
+        raise ConfigError(origin, [str(error)]) from None
 
 
 def _device(motor: Motor, inertia: float) -> SimulatedDevice:

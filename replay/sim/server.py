@@ -19,6 +19,7 @@ from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from gateway.edges.can_adapter import AdapterError, ask, flaw, frame_of, message_of
 from replay.sim.controllers.contract import STEP_NS, Emission
+from replay.sim.plants.contract import Plant
 from replay.sim.robot import SimulatedRobot
 
 logger = logging.getLogger(__name__)
@@ -30,11 +31,18 @@ _GIVE_UP_NS = 100_000_000  # lateness beyond which the deadlines start afresh
 class SimulationServer:
     """Owner of the loop; the buses belong to the caller and are not closed here."""
 
-    def __init__(self, config: RobotConfig, buses: Mapping[str, can.BusABC], *, tick_ns: int = STEP_NS) -> None:
+    def __init__(
+        self,
+        config: RobotConfig,
+        buses: Mapping[str, can.BusABC],
+        *,
+        tick_ns: int = STEP_NS,
+        plant: Plant | None = None,
+    ) -> None:
         missing = {bus.name for bus in config.bus} - set(buses)
         if missing or tick_ns < STEP_NS:
             raise ValueError(f"missing buses: {sorted(missing)}; tick {tick_ns} ns: at least {STEP_NS}")
-        self.robot = SimulatedRobot(config)
+        self.robot = SimulatedRobot(config, plant=plant)
         self.dropped = 0  # frames that could not be sent (queue full, interface down)
         self._buses = dict(buses)
         self._fd = {bus.name for bus in config.bus if bus.fd}

@@ -1,8 +1,8 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, verify, sessions, live, recorder, laws). Peers are measured side by side with what they
-stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with two numbers are for
-the compiled core and for pure Python: the first line says which it is.
+NAME: only these parts (cycle, verify, sessions, live, recorder, plant, laws). Peers are measured side by side with what
+they stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with two numbers are
+for the compiled core and for pure Python: the first line says which it is.
 """
 
 import json
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from gateway.build import COMPILED, FORM
-from tests.bench import cycle, laws, live, recorder, sessions, verify
+from tests.bench import cycle, laws, live, plant, recorder, sessions, verify
 from tests.laws import ALL_LAWS
 from tests.world import NAMES
 
@@ -21,6 +21,7 @@ PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
     "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
     "live": ("the service at 1 kHz, the simulated robot in a process of its own, us", live.measure),
     "recorder": ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
+    "plant": ("plant step: one substep of 1 ms of the simulated world, us", plant.measure),
     "laws": ("laws of motion over random drives (`python -m tests.bench.laws` drives more)", laws.measure),
 }
 
@@ -56,6 +57,8 @@ AIMS: Mapping[str, Aim] = {
     "cycle_per_wire_frame": Aim(most=0.10 if COMPILED else 0.35),
     **dict(_verify_aims()),
     **dict(_session_aims()),
+    "plant_step_us_moby_dynamics": Aim(most=300.0),
+    "plant_slippery_step_us_moby_dynamics": Aim(most=300.0),
     "loop_late_p50_us": Aim("empty_loop_late_p50_us"),
     "loop_late_p99_us": Aim("empty_loop_late_p99_us"),
     "loop_late_p999_us": Aim("empty_loop_late_p999_us"),

@@ -23,7 +23,7 @@ from gateway.chassis.omni import OmniRobot
 from gateway.sections import Body
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants import PLANTS
+from replay.sim.plants import plant_of
 
 Matrix = NDArray[np.float64]
 GRAVITY = 9.81  # m/s^2
@@ -60,7 +60,7 @@ class MujocoPlant:
         self.slope = 0.0
         self.wheels = tuple(wheels)
         self._radii = dict(wheels)
-        self.reflected_inertia = PLANTS[robot.kind](robot).reflected_inertia  # what the controllers were tuned to
+        self.reflected_inertia = plant_of(robot).reflected_inertia  # what the controllers were tuned to
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
         joints = [self._model.joint(f"joint{index}") for index in range(len(robot.motor_names()))]

@@ -14,7 +14,7 @@ from gateway.config import load
 from gateway.types import ZERO_TWIST, Mode, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants import PLANTS
+from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant
 from tests.replay.mujoco_plant import MUJOCO_PLANTS
 
@@ -50,7 +50,7 @@ every = pytest.mark.parametrize("name", BOUNDS)
 def plants(name: str, **body: float) -> tuple[Plant, Plant]:
     robot = load(ROBOTS / f"{name}.toml")[0].robot
     robot = robot.model_copy(update={"body": robot.body.model_copy(update=body)})
-    return PLANTS[robot.kind](robot), MUJOCO_PLANTS[robot.kind](robot)
+    return plant_of(robot), MUJOCO_PLANTS[robot.kind](robot)
 
 
 def run(plant: Plant, seconds: float, torques: tuple[float, ...] = ()) -> Pose:

@@ -15,8 +15,8 @@ from gateway.sections import Body
 from gateway.types import ZERO_TWIST, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants import PLANTS
-from replay.sim.plants.contract import Plant
+from replay.sim.plants import PLANTS, plant_of
+from replay.sim.plants.contract import Plant, PlantName
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 Torques = tuple[float, ...]
@@ -45,7 +45,11 @@ class Subject(NamedTuple):
 
 def subjects() -> dict[str, Subject]:
     robots = {path.stem: load(path)[0].robot for path in sorted(ROBOTS.glob("*.toml"))}
-    return {name: Subject(robot, PLANTS[robot.kind]) for name, robot in robots.items()}
+    return {
+        f"{name}-{plant.value}": Subject(robot, make)
+        for name, robot in robots.items()
+        for plant, make in PLANTS[robot.kind].items()
+    }
 
 
 SUBJECTS = subjects()
@@ -284,15 +288,15 @@ def test_the_reflected_inertia_a_controller_was_tuned_to_does_not_change_with_a_
 # -- behind the controllers -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
-def test_the_simulated_controllers_drive_the_plant_they_are_given(name: str) -> None:
+@pytest.mark.parametrize(("name", "plant"), [key.split("-") for key in SUBJECTS])
+def test_the_simulated_controllers_drive_the_plant_they_are_given(name: str, plant: str) -> None:
     """On a load of 1000 kg the same torques, limited as they are, move the robot less."""
     config = load(ROBOTS / f"{name}.toml")[0]
-    heavy = PLANTS[config.robot.kind](config.robot)
+    light, heavy = (plant_of(config.robot, PlantName(plant)) for _ in range(2))
     heavy.set_mass(1000.0)
     ways = []
-    for plant in (None, heavy):
-        loop = ClosedLoop(config, plant=plant)
+    for one in (light, heavy):
+        loop = ClosedLoop(config, plant=one)
         for index in range(375):
             twist = Twist(0.5, 0.0, 0.0) if index >= 250 else ZERO_TWIST
             due = index % 5 == 0 and index >= 75

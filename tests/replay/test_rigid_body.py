@@ -15,7 +15,7 @@ from gateway.chassis.omni import OmniRobot
 from gateway.config import RobotConfig, load
 from gateway.types import Twist
 from replay.sim.controllers.contract import STEP_S
-from replay.sim.plants import PLANTS, omni
+from replay.sim.plants import omni, plant_of
 from replay.sim.plants.rigid_body import RigidBody, Vector
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
@@ -37,7 +37,7 @@ def plant(name: str, **body: float) -> RigidBody:
     """The bundled robot without friction, with other figures of its body if asked."""
     robot = config(name).robot
     frictionless = {"joint_friction": 0.0, "joint_drag": 0.0}
-    made = PLANTS[robot.kind](robot.model_copy(update={"body": robot.body.model_copy(update=frictionless | body)}))
+    made = plant_of(robot.model_copy(update={"body": robot.body.model_copy(update=frictionless | body)}))
     assert isinstance(made, RigidBody)
     return made
 

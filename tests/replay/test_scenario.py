@@ -135,6 +135,30 @@ def test_a_joint_that_is_not_there_is_refused() -> None:
         run_scenario(scenario("moby", start={"joint": {"hind": 1.0}}))
 
 
+CASTER: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"start": {"swivel": 0.5}}, "start.swivel = 0.5: needs plant = 'dynamics'"),
+    (
+        {"at": [{"t": 1.0, "fault": {"kind": "impact", "value": 100.0, "seconds": 0.1}}]},
+        "at[0].fault.kind = 'impact': needs plant = 'dynamics'",
+    ),
+)
+
+
+@pytest.mark.parametrize(("parts", "words"), CASTER, ids=range(len(CASTER)))
+def test_what_concerns_the_caster_needs_a_plant_with_one(parts: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        run_scenario(scenario("moby", **parts))
+    assert words in str(caught.value)
+    run_scenario(scenario("moby", plant="dynamics", **parts))
+
+
+def test_a_plant_that_a_robot_does_not_have_is_refused() -> None:
+    with pytest.raises(ConfigError, match="plant = 'dynamics': for a robot of kind omni there is 'simple'"):
+        run_scenario(scenario("omni4", plant="dynamics"))
+    with pytest.raises(ConfigError, match="plant = 'wood': Input should be 'simple' or 'dynamics'"):
+        parse_as(Scenario, "robot = 'moby'\nseconds = 5\nplant = 'wood'", "a.toml")
+
+
 def test_a_wheel_without_inertia_cannot_slip() -> None:
     config = load(ROBOTS / "omni4.toml")[0]
     body = config.robot.body.model_copy(update={"joint_inertia": 0.0})
@@ -155,6 +179,17 @@ def test_a_robot_drives_as_commanded(name: str) -> None:
     assert seen[-1].truth.twist.vx == pytest.approx(0.4, abs=0.01)
     assert seen[-1].asked == (0.4, 0.0, 0.0)
     assert seen[0].asked is None
+
+
+def test_the_caster_starts_where_it_is_told_and_gives_way() -> None:
+    """Across the way it costs some sideways motion, against a start in which it trails."""
+    ways = [
+        moments(scenario("moby", at=list(DRIVE), plant="dynamics", start={"swivel": swivel}))[-1].truth.pose
+        for swivel in (-1.5707963267948966, 1.2)
+    ]
+    assert ways[0].x == pytest.approx(0.7, abs=0.05)
+    assert abs(ways[0].y) < 1e-6
+    assert 1e-5 < abs(ways[1].y) < 1e-3
 
 
 def test_commands_come_at_their_rate_with_sender_and_sequence() -> None:
@@ -342,7 +377,8 @@ def test_there_are_bundled_scenarios() -> None:
 def test_the_command_tells_traces_and_records(tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     file.write_text(TEXT)
-    run = command_line(file, "--trace", tmp_path / "a.csv", "--out", tmp_path / "sessions", "--json")
+    plant = ("--plant", "dynamics")
+    run = command_line(file, *plant, "--trace", tmp_path / "a.csv", "--out", tmp_path / "sessions", "--json")
     assert run.returncode == 0, run.stderr
     told = json.loads(run.stdout.splitlines()[-1])
     assert list(told) == [
@@ -361,7 +397,9 @@ def test_the_command_tells_traces_and_records(tmp_path: Path) -> None:
     assert told["broken"] == []
     assert told["true_distance"] > 0.3
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + told["cycles"]
-    assert verify(open_session(Path(told["session"]))).exit_code == 0
+    session = open_session(Path(told["session"]))
+    assert session.header.plant == "dynamics"
+    assert verify(session).exit_code == 0
     assert not run.stderr
 
 

@@ -27,12 +27,16 @@ FRONT_LEFT, RIGHT = 0, 1
 
 
 def drive(
-    robot: str, *faults: dict[str, Any], before: Iterable[dict[str, Any]] = DRIVEN, seconds: float = 3.5
+    robot: str,
+    *faults: dict[str, Any],
+    before: Iterable[dict[str, Any]] = DRIVEN,
+    seconds: float = 3.5,
+    plant: str = "simple",
 ) -> list[Moment]:
     """A drive in which these faults begin at AT, unless they say `t`."""
     moments: list[Moment] = []
     at = [*before, *({"t": fault.pop("t", AT), "fault": fault} for fault in map(dict, faults))]
-    scenario = Scenario.model_validate({"robot": robot, "seconds": seconds, "at": at})
+    scenario = Scenario.model_validate({"robot": robot, "seconds": seconds, "at": at, "plant": plant})
     run_scenario(scenario, watch=moments.append)
     return moments
 
@@ -221,6 +225,20 @@ def push() -> None:
     assert at(moments, 3.4).truth.twist.vx < end.vx, "nobody pushes any more"
 
 
+def impact() -> None:
+    """Pushed along at 0.5 m/s: hit at the caster's joint the chassis turns left, and comes back under the platform.
+
+    That was turned too, by 0.15 rad: nothing holds a heading.
+    """
+    hit = {"kind": "impact", "value": 3000.0, "seconds": 0.025}
+    moments = drive("moby", hit, plant="dynamics", seconds=5.0)
+    before, after, end = (at(moments, t).truth for t in (AT - 0.01, AT + 0.052, 4.9))
+    assert abs(before.chassis_angle) < 1e-3
+    assert after.chassis_angle > 0.1
+    assert after.joint_angles[2] < -0.05
+    assert end.joint_angles[2] == pytest.approx(0.0, abs=1e-3)
+
+
 def slope() -> None:
     moments = drive("omni4", {"kind": "slope", "value": 0.1, "seconds": 0.5}, before=IDLE)
     end = at(moments, AT + 0.5).truth.twist
@@ -300,6 +318,7 @@ EFFECTS: dict[FaultKind, Callable[[], None]] = {
         frames_lost,
         frames_delayed,
         push,
+        impact,
         slope,
         friction,
         mass,
@@ -323,6 +342,14 @@ def test_clear_of_one_motor_leaves_the_others_broken() -> None:
     moments = drive("omni4", {"kind": "cable_out"}, {"t": 3.0, "kind": "clear", "motor": "front_left"}, before=IDLE)
     assert heard(moments, 3.01, 3.5, 0x201) > 400
     assert heard(moments, 3.01, 3.5, 0x202) == 0
+
+
+def test_clear_ends_an_impact() -> None:
+    hit = {"kind": "impact", "value": 200.0, "seconds": 10.0}
+    moments = drive("moby", hit, {"t": 2.6, "kind": "clear"}, before=IDLE, plant="dynamics", seconds=4.0)
+    angles = [at(moments, t).truth.chassis_angle for t in (2.6, 3.0, 3.4, 3.8)]
+    first, second, third = (after - before for before, after in pairwise(angles))
+    assert first > second > third > 0.0, "it slows down, as nobody pushes any more"
 
 
 def test_an_absolute_encoder_knows_its_angle_after_a_power_cycle() -> None:

@@ -5,7 +5,8 @@ are what really acts there. A plant is deterministic: the same calls give the sa
 """
 
 from collections.abc import Sequence
-from typing import Protocol
+from enum import Enum
+from typing import Protocol, runtime_checkable
 
 from gateway.types import Pose, Twist
 
@@ -85,4 +86,29 @@ class Plant(Protocol):
 
         A load put on was at rest before, a load taken off keeps its own momentum.
         """
+        ...
+
+
+class PlantName(Enum):
+    """Which plant, as scenarios, commands and sessions have it."""
+
+    SIMPLE = "simple"  # one rigid body on its wheels; every kind has it
+    DYNAMICS = "dynamics"  # every body that the robot is made of
+
+
+class Point(Enum):
+    """Where a force can act on a chassis that has such a point."""
+
+    JOINT = "joint"  # of the platform
+    CASTER_JOINT = "caster_joint"
+
+
+@runtime_checkable
+class WithCaster(Protocol):
+    """A plant with a caster and named points of its chassis; not every one has them."""
+
+    swivel: float  # rad, of the caster's fork against the chassis
+
+    def set_force(self, point: Point, along: float, across: float) -> None:
+        """N along the chassis and to its left, turning with it, until told otherwise."""
         ...

@@ -1,91 +1,38 @@
-"""Dynamics of the offset-differential robot with its caster: eight coordinates, five rolling constraints.
+"""Dynamics of the offset-differential robot with its caster, forward and inverse, in the coordinates of the paper.
 
 How this works
 --------------
 q = (left, right, joint, x, y, platform, swivel, caster): angles of the wheels, of the platform joint phi = platform -
 chassis heading, place of the joint, heading of the platform, swivel of the caster's fork against the chassis, angle of
-its wheel. Six bodies: chassis, two wheels, platform, fork, caster wheel. With M from their velocities,
+its wheel, with
     M q'' + c(q, q') = T tau - friction q' + external + A' lambda,    A q' = 0
 (preprints202312.1327, Eqs. 27-30, in the signs of science 1.2 and 1.5: the printed caster row has the wrong one).
-The constraints leave three velocities, w = (x', y', platform'): q' = B(q) w, with B written down here from geometry. So
-the ground's forces drop out of B' (...) = 0, nothing drifts off its constraints, and three equations are solved; the
-forces are found afterwards from what the bodies really do.
+The constraints leave three velocities, here (x', y', platform') in the world. What follows from them is in
+`OffsetEquations`, in chassis axes; this file only turns its axes, and names all eight coordinates.
 """
 
 from collections.abc import Sequence
-from math import cos, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.arithmetic import sin_cos
+from replay.sim.plants.offset_equations import Motion, OffsetEquations
+from replay.sim.plants.offset_parameters import (
+    DRIVEN,
+    JOINT,
+    PLATFORM,
+    SETS,
+    SWIVEL,
+    OffsetParameters,
+    trailing,
+)
+
 Array = NDArray[np.float64]
 Numbers = Sequence[float] | Array
-LEFT, RIGHT, JOINT, X, Y, PLATFORM, SWIVEL, CASTER = range(8)
-FREE = (X, Y, PLATFORM)  # coordinates whose rates are the free ones
-DRIVEN = (LEFT, RIGHT, JOINT)  # those with a motor
 
-
-class OffsetParameters(NamedTuple):
-    """Lengths in m, masses in kg, inertias in kg m^2, friction in N m s/rad; names as in science 1.1, 1.2 and 1.5."""
-
-    wheel_radius: float  # R
-    axle_offset: float  # d1
-    track: float  # d2
-    trail: float  # d3
-    caster_position: float  # d4
-    caster_radius: float  # Rc
-    chassis_mass: float
-    chassis_offset: float  # x_B, of the centre of mass ahead of the joint
-    chassis_inertia: float  # about that centre
-    wheel_mass: float
-    wheel_axial: float  # about its axle
-    wheel_radial: float  # about its vertical
-    platform_mass: float
-    platform_inertia: float
-    fork_mass: float
-    fork_share: float  # lambda: where on the trail its centre of mass is
-    fork_inertia: float
-    caster_mass: float
-    caster_axial: float
-    caster_radial: float
-    friction: tuple[float, ...] = (0.0,) * 8
-
-
-def _set(*, radius: float, offset: float, track: float, mass: float, centre: float, inertia: float) -> OffsetParameters:
-    """Otbot's wheels and platform, a rod and a disc for the caster: what the sets of science 1.7 have in common."""
-    trail, caster_radius, fork, caster = 0.05, 0.05, 0.5, 0.7
-    return OffsetParameters(
-        wheel_radius=radius,
-        axle_offset=offset,
-        track=track,
-        trail=trail,
-        caster_position=0.25,
-        caster_radius=caster_radius,
-        chassis_mass=mass,
-        chassis_offset=centre,
-        chassis_inertia=inertia,
-        wheel_mass=2.0714,
-        wheel_axial=0.010357,
-        wheel_radial=0.00561007,
-        platform_mass=21.94795,
-        platform_inertia=2.22223,
-        fork_mass=fork,
-        fork_share=0.5,
-        fork_inertia=fork * trail * trail / 12.0,
-        caster_mass=caster,
-        caster_axial=caster * caster_radius * caster_radius / 2.0,
-        caster_radial=caster * caster_radius * caster_radius / 4.0,
-    )
-
-
-# Science 1.7. A: as published for Otbot-1; B: its centre of mass fitted; C, D: four and three numbers fitted.
-SETS = {
-    "A": _set(radius=0.10, offset=0.25, track=0.40, mass=105.0, centre=-0.125, inertia=1.06458),
-    "B": _set(radius=0.10, offset=0.25, track=0.40, mass=105.0, centre=-0.086, inertia=1.3),
-    "C": _set(radius=0.1016, offset=0.25, track=0.15, mass=105.0, centre=-0.086, inertia=1.3),
-    "D": _set(radius=0.1043, offset=0.30, track=0.40, mass=105.0, centre=-0.125, inertia=1.3),
-}
+__all__ = ("JOINT", "PLATFORM", "SETS", "SWIVEL", "Array", "OffsetDynamics", "OffsetParameters", "trailing")
 
 
 class Moving(NamedTuple):
@@ -94,8 +41,6 @@ class Moving(NamedTuple):
     rates: Array
     spread: Array
     bias: Array
-    mass: Array
-    inertial: Array  # c(q, q')
 
 
 class InverseSolution(NamedTuple):
@@ -106,45 +51,60 @@ class InverseSolution(NamedTuple):
     acceleration: Array
 
 
+class _Frame(NamedTuple):
+    """Sines and cosines of swivel and chassis heading, and d1."""
+
+    s: float
+    c: float
+    heading_s: float
+    heading_c: float
+    offset: float
+
+    def chassis(self, x: float, y: float) -> tuple[float, float]:
+        """A vector of the world in chassis axes."""
+        return self.heading_c * x + self.heading_s * y, self.heading_c * y - self.heading_s * x
+
+    def world(self, along: float, across: float) -> tuple[float, float]:
+        """A vector in chassis axes in the world."""
+        return self.heading_c * along - self.heading_s * across, self.heading_s * along + self.heading_c * across
+
+    def motion(self, free: Numbers) -> Motion:
+        """The three speeds of `OffsetEquations`."""
+        along, across = self.chassis(float(free[0]), float(free[1]))
+        return along, across / self.offset, float(free[2])
+
+    def change(self, motion: Motion, wanted: Numbers) -> Motion:
+        """How these must change for a change of the free rates: in the chassis' axes, which turn."""
+        v, w, _ = motion
+        along, across = self.chassis(float(wanted[0]), float(wanted[1]))
+        return along + w * self.offset * w, (across - w * v) / self.offset, float(wanted[2])
+
+    def acceleration(self, motion: Motion, change: Motion) -> Array:
+        """The change of the free rates: the inverse of `change`."""
+        v, w, _ = motion
+        x, y = self.world(change[0] - w * self.offset * w, self.offset * change[1] + w * v)
+        return np.array((x, y, change[2]))
+
+
 class OffsetDynamics:
     """The equations of one set of parameters."""
 
     def __init__(self, parameters: OffsetParameters) -> None:
-        p = self.parameters = parameters
-        self._friction = np.array(p.friction)
-        # Points that carry mass: (kg, ahead of the joint, left of it, along the fork), m.
-        half = p.track / 2.0
-        self._points = (
-            (p.chassis_mass, p.chassis_offset, 0.0, 0.0),
-            (p.wheel_mass, -p.axle_offset, half, 0.0),
-            (p.wheel_mass, -p.axle_offset, -half, 0.0),
-            (p.platform_mass, 0.0, 0.0, 0.0),
-            (p.fork_mass, p.caster_position, 0.0, p.fork_share * p.trail),
-            (p.caster_mass, p.caster_position, 0.0, p.trail),
-        )
-        self._spins = _spins(p)
+        self.parameters = parameters
+        self._equations = OffsetEquations(parameters)
+        self._friction = np.array(parameters.friction)
 
     def moving(self, place: Numbers, free: Numbers) -> Moving:
         """At this place, with these free rates (m/s, m/s, rad/s)."""
         spread = self.spread(place)
-        rates = spread @ np.asarray(free, dtype=float)
-        mass, inertial = self._mass(place, rates)
-        return Moving(rates, spread, self._bias(place, rates), mass, inertial)
+        bias = self.inverse(place, free, (0.0, 0.0, 0.0)).acceleration
+        return Moving(spread @ np.asarray(free, dtype=float), spread, bias)
 
     def spread(self, place: Numbers) -> Array:
         """B of q' = B w: what every coordinate does for each of the free rates."""
-        p, heading = self.parameters, place[PLATFORM] - place[JOINT]
-        along, across, fork, axle = _directions(heading, heading + place[SWIVEL])
-        turn = across / p.axle_offset
-        lateral = p.trail + p.caster_position * sin(place[SWIVEL])
-        rows = np.zeros((8, 3))
-        rows[LEFT, :2] = (along - turn * p.track / 2.0) / p.wheel_radius
-        rows[RIGHT, :2] = (along + turn * p.track / 2.0) / p.wheel_radius
-        rows[JOINT] = (-turn[0], -turn[1], 1.0)
-        rows[(X, Y, PLATFORM), (0, 1, 2)] = 1.0
-        rows[SWIVEL, :2] = -(axle + lateral * turn) / p.trail
-        rows[CASTER, :2] = (fork - p.caster_position * cos(place[SWIVEL]) * turn) / p.caster_radius
-        return rows
+        frame = self._frame(place)
+        columns = (self._rates(frame, frame.motion(unit), unit) for unit in np.eye(3))
+        return np.array(list(columns)).T
 
     def acceleration(
         self,
@@ -154,31 +114,33 @@ class OffsetDynamics:
         push: Numbers = (0.0, 0.0),
     ) -> Array:
         """w' (forward dynamics), with motor torques, N m, and a force at the joint, N."""
-        now = self.moving(place, free)
-        force = self._applied(now.rates, torques, push)
-        lever = now.spread.T
-        inertia, drive = lever @ now.mass @ now.spread, lever @ (force - now.inertial - now.mass @ now.bias)
-        return np.asarray(np.linalg.solve(inertia, drive), dtype=np.float64)
+        frame = self._frame(place)
+        motion = frame.motion(free)
+        along, turning, platform = self._equations.driven(*map(float, torques))
+        ahead, across = frame.chassis(float(push[0]), float(push[1]))
+        force = along + ahead, turning + frame.offset * across, platform
+        return frame.acceleration(motion, self._equations.acceleration(frame.s, frame.c, motion, force))
 
     def inverse(self, place: Numbers, free: Numbers, wanted: Numbers) -> InverseSolution:
         """Torques for these free accelerations (m/s^2, m/s^2, rad/s^2), and what the ground then does."""
-        now = self.moving(place, free)
-        acceleration = now.spread @ np.asarray(wanted, dtype=float) + now.bias
-        needed = now.mass @ acceleration + now.inertial + self._friction * now.rates
-        motors = np.linalg.solve(now.spread[list(DRIVEN)].T, now.spread.T @ needed)
-        left, right, joint = map(float, motors)
-        momentum = now.mass @ acceleration + now.inertial
-        return InverseSolution((left, right, joint), (float(momentum[X]), float(momentum[Y])), acceleration)
+        frame = self._frame(place)
+        motion = frame.motion(free)
+        change = frame.change(motion, wanted)
+        torques = self._equations.torques_for(frame.s, frame.c, motion, change)
+        ground = frame.world(*self._equations.ground(frame.s, frame.c, motion, change))
+        acceleration = self._rates(frame, change, wanted)
+        acceleration[SWIVEL:] += self._equations.caster_changes(frame.s, frame.c, motion)
+        return InverseSolution(torques, ground, acceleration)
 
     def energy(self, place: Numbers, free: Numbers) -> float:
         """Of the motion, J."""
-        now = self.moving(place, free)
-        return float(now.rates @ now.mass @ now.rates) / 2.0
+        frame = self._frame(place)
+        return self._equations.energy(frame.s, frame.c, frame.motion(free))
 
     def power(self, place: Numbers, free: Numbers, torques: Numbers) -> float:
         """What motors and friction give it, W."""
         rates = self.spread(place) @ np.asarray(free, dtype=float)
-        return float(self._applied(rates, torques, (0.0, 0.0)) @ rates)
+        return float(np.asarray(torques) @ rates[list(DRIVEN)] - self._friction @ rates**2)
 
     def step(
         self,
@@ -200,74 +162,11 @@ class OffsetDynamics:
         q4, w4 = slope(place + h * q3, free + h * w3)
         return place + h / 6 * (q1 + 2 * q2 + 2 * q3 + q4), free + h / 6 * (w1 + 2 * w2 + 2 * w3 + w4)
 
-    def _applied(self, rates: Array, torques: Numbers, push: Numbers) -> Array:
-        force = -self._friction * rates
-        force[list(DRIVEN)] += torques
-        force[[X, Y]] += push
-        return force
+    def _frame(self, place: Numbers) -> _Frame:
+        heading = float(place[PLATFORM]) - float(place[JOINT])
+        return _Frame(*sin_cos(float(place[SWIVEL])), *sin_cos(heading), self.parameters.axle_offset)
 
-    def _mass(self, place: Numbers, rates: Array) -> tuple[Array, Array]:
-        """M, and what of the inertial forces comes from velocities alone."""
-        heading = place[PLATFORM] - place[JOINT]
-        along, across, fork, axle = _directions(heading, heading + place[SWIVEL])
-        turning = rates[PLATFORM] - rates[JOINT]
-        swinging = turning + rates[SWIVEL]
-        mass, inertial = self._spins.copy(), np.zeros(8)
-        for kilograms, ahead, left, trailing in self._points:
-            lever = ahead * across - left * along + trailing * axle
-            rows = np.zeros((2, 8))
-            rows[0, X] = rows[1, Y] = 1.0
-            rows[:, PLATFORM] = lever
-            rows[:, JOINT] = -lever
-            rows[:, SWIVEL] = trailing * axle
-            centripetal = -turning * turning * (ahead * along + left * across) - swinging * swinging * trailing * fork
-            mass += kilograms * rows.T @ rows
-            inertial += kilograms * rows.T @ centripetal
-        return mass, inertial
-
-    def _bias(self, place: Numbers, rates: Array) -> Array:
-        """q'' where the free rates stay as they are: the constraints, differentiated."""
-        p, heading = self.parameters, place[PLATFORM] - place[JOINT]
-        along, across, fork, axle = _directions(heading, heading + place[SWIVEL])
-        velocity = rates[[X, Y]]
-        turning = rates[PLATFORM] - rates[JOINT]
-        swinging = turning + rates[SWIVEL]
-        s, c = sin(place[SWIVEL]), cos(place[SWIVEL])
-        turn = -turning * (along @ velocity) / p.axle_offset
-        forward = turning * (across @ velocity)
-        bias = np.zeros(8)
-        bias[LEFT] = (forward - turn * p.track / 2.0) / p.wheel_radius
-        bias[RIGHT] = (forward + turn * p.track / 2.0) / p.wheel_radius
-        bias[JOINT] = -turn
-        lateral = (p.trail + p.caster_position * s) * turn + p.caster_position * c * rates[SWIVEL] * turning
-        bias[SWIVEL] = -(-swinging * (fork @ velocity) + lateral) / p.trail
-        rolling = swinging * (axle @ velocity) - p.caster_position * (c * turn - s * rates[SWIVEL] * turning)
-        bias[CASTER] = rolling / p.caster_radius
-        return bias
-
-
-def trailing(*, pulled: bool) -> float:
-    """The swivel at which the caster comes to rest on a straight way: behind its joint, seen along the motion."""
-    return pi / 2.0 if pulled else -pi / 2.0
-
-
-def _spins(p: OffsetParameters) -> Array:
-    """What the bodies' own turning adds to M; it depends on no coordinate."""
-    found = np.zeros((8, 8))
-    chassis = np.zeros(8)
-    chassis[[PLATFORM, JOINT]] = 1.0, -1.0
-    fork = chassis.copy()
-    fork[SWIVEL] = 1.0
-    found += (p.chassis_inertia + 2.0 * p.wheel_radial) * np.outer(chassis, chassis)
-    found += (p.fork_inertia + p.caster_radial) * np.outer(fork, fork)
-    found[PLATFORM, PLATFORM] += p.platform_inertia
-    found[LEFT, LEFT] = found[RIGHT, RIGHT] = p.wheel_axial
-    found[CASTER, CASTER] = p.caster_axial
-    return found
-
-
-def _directions(heading: float, fork: float) -> tuple[Array, Array, Array, Array]:
-    """Unit vectors in the world: along the chassis, to its left, along the fork, along the caster's axle."""
-    s, c = sin(heading), cos(heading)
-    fork_s, fork_c = sin(fork), cos(fork)
-    return np.array((c, s)), np.array((-s, c)), np.array((fork_s, -fork_c)), np.array((fork_c, fork_s))
+    def _rates(self, frame: _Frame, motion: Motion, free: Numbers) -> Array:
+        """Of all coordinates, in their order."""
+        joints = self._equations.joint_rates(motion)
+        return np.array((*joints, *map(float, free), *self._equations.caster_rates(frame.s, frame.c, motion)))

@@ -1,0 +1,166 @@
+"""A drive through the real service path in virtual time: command, engine, CAN, simulated controller, plant; recorded.
+
+The commands of an experiment are velocities over the floor, streamed once a cycle as a client would, zero first. Time
+counts from the first of them that is not the zero which starts the robot.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import cos, sin
+from pathlib import Path
+from typing import NamedTuple
+
+from gateway.core.examination import examine
+from gateway.types import ZERO_TWIST, Event, Mode, Outputs, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
+from replay.drive.closed_loop import ClosedLoop
+from replay.drive.recording import SessionRecording
+from replay.reproduce.result import ReproduceError, Stage
+from replay.reproduce.robot import ORIGIN, Setup, plant_of, robot_file
+from replay.sim.plants.contract import PlantName
+from replay.sim.plants.offset_caster import OffsetCaster
+
+SOURCE = "experiment"
+_PATIENCE = 8.0  # s, for the robot to start
+
+
+class Order(NamedTuple):
+    """What is sent in a cycle: m/s over the floor, rad/s of the path if it is told, settings to be changed."""
+
+    vx: float
+    vy: float
+    path_rate: float | None = None
+    settings: Mapping[str, float] = {}
+
+
+Wanted = Callable[[float, Pose], Order]  # at a time, s, where the odometry tells the robot to be
+Disturb = Callable[[float, OffsetCaster], None]  # what else happens before a cycle at this time, s
+
+
+class Sample(NamedTuple):
+    """At the start of a cycle: what really is (m, rad, m/s, N m, rad/s), and what the core says of it."""
+
+    t: float
+    x: float
+    y: float
+    heading: float  # of the platform
+    chassis: float
+    vx: float  # over the floor
+    vy: float
+    rates: tuple[float, ...]  # of the joints
+    torques: tuple[float, ...]
+    swivel: float  # of the caster
+    error: float | None  # of gamma from its goal
+    correction: float | None
+    mode: Mode
+    limits: tuple[str, ...]
+
+
+class Driven(NamedTuple):
+    """Every cycle from the first order, what the service told, and where the drive is recorded."""
+
+    samples: list[Sample]
+    events: tuple[Event, ...]
+    session: Path
+
+
+def drive(
+    setup: Setup,
+    wanted: Wanted,
+    stage: Stage,
+    *,
+    seconds: float,
+    heading: float,
+    swivel: float,
+    disturb: Disturb = lambda t, plant: None,
+) -> Driven:
+    """`wanted`: what is sent; `heading`, `swivel`: of chassis and caster at the start, rad.
+
+    Raises ReproduceError where the robot does not start.
+    """
+    config, text = robot_file(setup)
+    examine(config, ORIGIN)
+    recording = SessionRecording(
+        config,
+        text,
+        ORIGIN,
+        directory=stage.folder,
+        started_wall_ns=stage.started_wall_ns,
+        plant=PlantName.DYNAMICS,
+    )
+    plant = plant_of(config, swivel=swivel)
+    drive_ = _Drive(ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant), plant, recording)
+    try:
+        samples = drive_.run(wanted, seconds, disturb)
+    finally:
+        recording.close()
+    return Driven(samples, tuple(drive_.events), recording.session)
+
+
+class _Drive:
+    def __init__(self, loop: ClosedLoop, plant: OffsetCaster, recording: SessionRecording) -> None:
+        self.events: list[Event] = []
+        self._loop = loop
+        self._plant = plant
+        self._recording = recording
+        self._asked = 0  # the id of the last request
+        self._pose = Pose(0.0, 0.0, 0.0)
+
+    def run(self, wanted: Wanted, seconds: float, disturb: Disturb) -> list[Sample]:
+        """Started, driven, and brought to rest."""
+        self._start()
+        samples, period = list[Sample](), self._loop.period_ns / 1e9
+        for cycle in range(round(seconds / period) + 1):
+            t = cycle * period
+            disturb(t, self._plant)
+            samples.append(self._sample(t, self._cycle(wanted(t, self._pose))))
+        for _ in range(round(0.5 / period)):
+            self._cycle(Order(0.0, 0.0))
+        return samples
+
+    def _start(self) -> None:
+        for _ in range(round(_PATIENCE * 1e9 / self._loop.period_ns)):
+            if self._cycle(Order(0.0, 0.0)).mode is Mode.DRIVE:
+                return
+        raise ReproduceError(f"the robot does not start: {self._loop.engine.mode.value}")
+
+    def _cycle(self, order: Order) -> Outputs:
+        now_ns = self._loop.next_ns
+        twist = ZERO_TWIST._replace(vx=order.vx, vy=order.vy)
+        command = TwistCommand(SOURCE, twist, TwistFrame.ODOM, None, now_ns, SOURCE, path_rate=order.path_rate)
+        inputs, outputs = self._loop.cycle(commands=[command], requests=self._requests(order.settings, now_ns))
+        self._recording.put(inputs, outputs, self._loop.engine.snapshot)
+        self.events += outputs.events
+        if outputs.odometry is not None:
+            self._pose = outputs.odometry.pose
+        return outputs
+
+    def _requests(self, settings: Mapping[str, float], now_ns: int) -> Sequence[Request]:
+        found = []
+        for name, value in settings.items():
+            self._asked += 1
+            found.append(Request(RequestKind.SET, self._asked, now_ns, setting=name, value=value))
+        return found
+
+    def _sample(self, t: float, outputs: Outputs) -> Sample:
+        truth, told = self._loop.bus.robot.truth, outputs.trace.chassis
+        vx, vy = _over_the_floor(truth.twist, truth.pose.theta)
+        return Sample(
+            t=t,
+            x=truth.pose.x,
+            y=truth.pose.y,
+            heading=truth.pose.theta,
+            chassis=truth.chassis_angle,
+            vx=vx,
+            vy=vy,
+            rates=truth.joint_rates,
+            torques=truth.joint_torques,
+            swivel=self._plant.swivel,
+            error=told[2] if told else None,
+            correction=told[3] if told else None,
+            mode=outputs.mode,
+            limits=() if outputs.status is None else tuple(outputs.status.limits_active),
+        )
+
+
+def _over_the_floor(twist: Twist, heading: float) -> tuple[float, float]:
+    c, s = cos(heading), sin(heading)
+    return c * twist.vx - s * twist.vy, s * twist.vx + c * twist.vy
