@@ -135,6 +135,7 @@ def drive_path(
     config = config_of(client)
     demands = demands_of(config)
     check(demands.problems(path, speed), origin)
+    path = demands.fitted(path)
     # Odometry is what it waits for: news of that wake it as news of the state do.
     state = client.wait_for_state(lambda _: client.odometry() is not None, ANSWER_TIMEOUT_S)
     odometry = client.odometry()

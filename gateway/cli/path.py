@@ -60,6 +60,7 @@ def _config(name: str, connect: str | None) -> RobotConfig:
 def _check(wanted: Path, config: RobotConfig, origin: str, speed: float, *, json: bool) -> None:
     demands = demands_of(config)
     check(demands.problems(wanted, speed), origin)
+    wanted = demands.fitted(wanted)
     radius, seconds = wanted.smallest_radius, demands.seconds(wanted, speed)
     if json:
         print_json({"ok": True, "length": wanted.length, "smallest_radius": radius, "seconds": seconds})

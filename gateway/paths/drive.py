@@ -32,9 +32,17 @@ class Demands(NamedTuple):
     def problems(self, path: Path, speed: float) -> list[str]:
         """Where the path breaks a rule of the chassis, and a speed that is none; none: it can be driven."""
         found = [] if self.axle_offset is None else rules.problems(path, self.axle_offset)
+        if path.on_axle and self.axle_offset is None:
+            found.append("joints = 'on_axle': must be 'tangent': this robot has no axle behind its joint")
         if not 0.0 < speed <= self.top_speed:
             found.append(f"speed = {speed:g}: must be above 0 and at most {self.top_speed:g} m/s, any way")
         return found
+
+    def fitted(self, path: Path) -> Path:
+        """The path as this robot, which can drive it, is to drive it."""
+        if path.on_axle and self.axle_offset is not None:
+            return rules.joined_on_axle(path, self.axle_offset)
+        return path
 
     def start_problems(self, path: Path, x: float, y: float, chassis_heading: float | None) -> list[str]:
         """Why the robot cannot begin from where it stands; heading in rad, None: not known."""

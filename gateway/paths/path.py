@@ -69,10 +69,15 @@ def advanced(pose: Pose, curvature: float, slope: float, way: float) -> Pose:
 
 
 class Path:
-    """From a start over its pieces, and straight on beyond its end. Immutable."""
+    """From a start over its pieces, and straight on beyond its end. Immutable.
 
-    def __init__(self, start: Pose, pieces: Sequence[Piece]) -> None:
+    `on_axle`: where the curvature jumps its direction is to turn as well, by what the chassis asks for (`rules`).
+    """
+
+    def __init__(self, start: Pose, pieces: Sequence[Piece], *, on_axle: bool = False) -> None:
+        self.start = start
         self.pieces = tuple(pieces)
+        self.on_axle = on_axle
         self.starts: tuple[float, ...]  # m of way, of each piece
         self._parts: list[_Part] = []
         starts, pose, way = [], start, 0.0
@@ -93,8 +98,8 @@ class Path:
 
     @property
     def smallest_radius(self) -> float | None:
-        """m; 0.0 with a corner, None of a straight line."""
-        if any(piece.corner != 0.0 for piece in self.pieces):
+        """m; 0.0 with a corner that is in the path itself, None of a straight line."""
+        if not self.on_axle and any(piece.corner != 0.0 for piece in self.pieces):
             return 0.0
         return 1.0 / self.sharpest if self.sharpest > 0.0 else None
 

@@ -1,5 +1,7 @@
 """The path file: TOML, SI, unknown keys refused.
 
+    joints = "tangent"     # left out: tangent; or "on_axle", of lines and arcs only, for a pulled robot: see `rules`
+
     [start]                # where the path begins and which way it goes; left out: 0, 0, 0
     x = 1.0
     y = 0.0
@@ -74,6 +76,7 @@ AnyPiece = Annotated[Line | Arc | Clothoid | Corner, Field(discriminator="kind")
 class PathFile(Section):
     """What a path file says."""
 
+    joints: Literal["tangent", "on_axle"] = "tangent"
     start: Start = Start()
     piece: Annotated[list[AnyPiece], Field(min_length=1, max_length=MOST_PIECES)]
 
@@ -81,11 +84,12 @@ class PathFile(Section):
 def parse(text: str, origin: str) -> Path:
     """The path that a file describes. Raises ConfigError."""
     file = parse_as(PathFile, text, origin)
-    problems = list(_problems(file.piece))
+    on_axle = file.joints == "on_axle"
+    problems = [*_problems(file.piece), *(_problems_on_axle(file.piece) if on_axle else ())]
     if problems:
         raise ConfigError(origin, problems)
     pieces = [_made(file.piece, number) for number in range(len(file.piece))]
-    return Path(Pose(file.start.x, file.start.y, file.start.heading), pieces)
+    return Path(Pose(file.start.x, file.start.y, file.start.heading), pieces, on_axle=on_axle)
 
 
 def _problems(pieces: Sequence[AnyPiece]) -> Iterator[str]:
@@ -94,6 +98,12 @@ def _problems(pieces: Sequence[AnyPiece]) -> Iterator[str]:
             yield f"piece[{number}].angle = 0.0: an arc must turn; write a line"
         if isinstance(piece, Clothoid) and number and isinstance(pieces[number - 1], Clothoid):
             yield f"piece[{number}]: a clothoid behind a clothoid: which curvature is between them is not told"
+
+
+def _problems_on_axle(pieces: Sequence[AnyPiece]) -> Iterator[str]:
+    for number, piece in enumerate(pieces):
+        if not isinstance(piece, Line | Arc):
+            yield f"piece[{number}] ({piece.kind}): must be a line or an arc where joints are on_axle"
 
 
 def _made(pieces: Sequence[AnyPiece], number: int) -> Piece:

@@ -2,16 +2,18 @@
 
 Rule 1: smooth, and at its start tangent to the direction in which the chassis is in balance, pulled (Eq. 22). Rule 2:
 no turn tighter than d1. A robot without an offset axle has none of these rules.
+The other strategy of that section gives up rule 1: where the curvature jumps, the direction jumps with it, so that the
+instant centre of rotation stays on the axle. Then no error of gamma arises that would have to be corrected, and the
+wheels have to change their speeds at once.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final
 
 from gateway.arithmetic import arcsine
 from gateway.control.pull_region import goal_of, wrapped
 from gateway.paths.path import Path, Piece
-from gateway.types import Pose
 
 START_TOLERANCE: Final = 0.05  # rad, of the chassis from its balance at the start
 _LEAST_STRETCH: Final = 6.0  # axle offsets; with less than 3.3 merging and compensation swing against each other
@@ -23,12 +25,12 @@ def problems(path: Path, axle_offset: float) -> list[str]:
     return [
         f"{piece.words}, {start:.3f} m from the start: {problem}"
         for piece, start in zip(path.pieces, path.starts, strict=True)
-        for problem in _problems(piece, axle_offset)
+        for problem in _problems(piece, axle_offset, corners=path.on_axle)
     ]
 
 
-def _problems(piece: Piece, axle_offset: float) -> Iterator[str]:
-    if piece.corner != 0.0:
+def _problems(piece: Piece, axle_offset: float, *, corners: bool) -> Iterator[str]:
+    if piece.corner != 0.0 and not corners:
         yield f"turns by {piece.corner:g} rad at once: a chassis is pulled along smooth paths only"
     sharpest = max(abs(piece.before), abs(piece.after))
     if sharpest * axle_offset > _ROUNDING:
@@ -61,21 +63,14 @@ def least_stretch(axle_offset: float, blind_way: float) -> float:
     return _LEAST_STRETCH * axle_offset + 2.0 * blind_way
 
 
-def direction_on_axle(chassis_heading: float, curvature: float, axle_offset: float) -> float:
-    """Direction of motion, rad, with which the instant centre lies on the axle and the way has this curvature, pulled.
-
-    The chassis then turns as the way does: gamma is gamma_goal, whatever the curvature does next.
-    """
-    return chassis_heading + goal_of(curvature, 1.0, axle_offset)[0]
-
-
-def on_axle(start: Pose, arcs: Sequence[Piece], axle_offset: float) -> Path:
-    """The arcs joined so that the instant centre of rotation stays on the axle where the curvature jumps.
+def joined_on_axle(path: Path, axle_offset: float) -> Path:
+    """The same pieces joined so that the instant centre of rotation stays on the axle where the curvature jumps.
 
     Between curvatures a and b the direction turns at once by asin(d1 a) - asin(d1 b) while the chassis does not turn.
+    No piece may turn tighter than d1.
     """
     joined = [
         piece._replace(corner=arcsine(before.after * axle_offset) - arcsine(piece.before * axle_offset))
-        for before, piece in pairwise(arcs)
+        for before, piece in pairwise(path.pieces)
     ]
-    return Path(start, [*arcs[:1], *joined])
+    return Path(path.start, [*path.pieces[:1], *joined], on_axle=True)

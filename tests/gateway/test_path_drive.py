@@ -70,6 +70,7 @@ def drive(
     world.run(3.0, ZERO_TWIST, source="autonomy", until=lambda outputs: outputs.mode is Mode.DRIVE)
     demands = demands_of(world.config)
     check(demands.problems(path, speed), name)
+    path = demands.fitted(path)
     along = PathDrive(demands.follower(path, speed), period=0.02)
     pose = Pose(0.0, 0.0, 0.0)  # where every robot begins
     steps: list[Step] = []
@@ -163,6 +164,43 @@ def test_the_course_without_compensation() -> None:
     assert 0.07 < done.worst(4.6, 6.5) < 0.12
     assert done.worst(6.7, path.length) < 6e-3
     assert off(done, path) < 5e-3
+
+
+def test_arcs_joined_on_the_axle_leave_little_to_correct() -> None:
+    """At 0.4 m/s 11 mm beside the path; the same arcs joined tangent 76 mm, and four times the error of gamma."""
+    text = (PATHS / "moby_arcs.toml").read_text()
+    on_axle, tangent = (
+        path_file.parse(text.replace("on_axle", joints), "moby_arcs.toml") for joints in ("on_axle", "tangent")
+    )
+    with_jumps = drive("moby", on_axle, 0.4, edit=compensated)
+    without = drive("moby", tangent, 0.4, edit=compensated)
+    assert with_jumps.worst(0.0, on_axle.length) < 0.02
+    assert without.worst(0.0, tangent.length) > 0.05
+    assert mean_error(with_jumps) < 0.4 * mean_error(without)
+    assert off(with_jumps, demands(compensated).fitted(on_axle)) < 0.02
+    assert all(step.mode is Mode.DRIVE for step in with_jumps.steps[1:])
+
+
+def mean_error(done: Driven) -> float:
+    """Of gamma from its goal, rad."""
+    found = [outputs.trace.chassis[2] for _, outputs in done.world.records if outputs.trace.chassis]
+    errors = [abs(error) for error in found if error is not None]
+    return sum(errors) / len(errors)
+
+
+def test_joints_on_the_axle_are_for_lines_and_arcs_and_for_a_robot_that_has_an_axle() -> None:
+    on_axle = 'joints = "on_axle"\n'
+    clothoids = (PATHS / "moby_course.toml").read_text()
+    with pytest.raises(
+        ConfigError, match=r"piece\[1\] \(clothoid\): must be a line or an arc where joints are on_axle"
+    ):
+        path_file.parse(on_axle + clothoids, "c.toml")
+    path = bundled("moby_arcs")
+    assert demands(name="omni4").problems(path, 0.3) == [
+        "joints = 'on_axle': must be 'tangent': this robot has no axle behind its joint"
+    ]
+    assert demands().problems(path, 0.3) == []
+    assert demands().fitted(path).smallest_radius == pytest.approx(1.5)
 
 
 def demands(edit: Callable[[str], str] = str, name: str = "moby") -> Demands:

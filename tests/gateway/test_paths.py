@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 from gateway.config import ConfigError
 from gateway.paths import path_file
 from gateway.paths.path import Path, Piece
-from gateway.paths.rules import direction_on_axle, on_axle, problems, start_error, start_problem
+from gateway.paths.rules import joined_on_axle, problems, start_error, start_problem
 from gateway.types import Pose
 from tests.pulled import PulledRobot
 
@@ -194,7 +194,10 @@ def test_the_instant_centre_stays_on_the_axle() -> None:
         Piece("d", 1.0, 0.0, 0.0),
     ]
     errors = {}
-    for name, path in (("on axle", on_axle(ORIGIN, arcs, D1)), ("tangent", Path(ORIGIN, arcs))):
+    for name, path in (
+        ("on axle", joined_on_axle(Path(ORIGIN, arcs, on_axle=True), D1)),
+        ("tangent", Path(ORIGIN, arcs)),
+    ):
         robot, h, worst = PulledRobot(D1, math.asin(0.2 * D1) - math.pi), 2e-4, 0.0
         for cycle in range(round(2.2 / h)):  # until a little behind the first joint: an error grows e-fold every d1
             point = path.at(h * (cycle + 0.5))
@@ -206,19 +209,3 @@ def test_the_instant_centre_stays_on_the_axle() -> None:
     jump = math.asin(D1) - math.asin(0.2 * D1)
     assert errors["tangent"] > 0.9 * jump
     assert errors["on axle"] < 0.2 * jump
-
-
-def test_directions_on_the_axle_hold_the_chassis_over_any_curvature() -> None:
-    """The direction found anew from the chassis each cycle: gamma stays at its goal, without any compensation."""
-    robot, h = PulledRobot(D1, 2.0), 1e-3
-    turned = 0.0
-    for cycle in range(20_000):
-        curvature = 2.0 * math.sin(0.003 * cycle) + (1.0 if cycle % 2000 < 1000 else -1.0)
-        direction = direction_on_axle(robot.heading, curvature, D1)
-        before = robot.heading
-        robot.move(math.cos(direction), math.sin(direction), h)
-        turned += curvature * h
-        gamma = math.remainder(direction - before, math.tau)
-        assert math.sin(gamma) == pytest.approx(D1 * curvature, abs=1e-9)
-        assert math.cos(gamma) < 0.0
-    assert robot.heading - 2.0 == pytest.approx(turned, abs=0.02)
