@@ -48,13 +48,26 @@ COAST: Final = JointCommand(CommandKind.COAST)
 BRAKE: Final = JointCommand(CommandKind.BRAKE)
 
 
-class Motion(NamedTuple):
-    """What the joints are told. `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name."""
+class Motion:
+    """What the joints are told. Nobody changes it; no named tuple, see `Setpoint`.
 
-    commands: tuple[JointCommand, ...]
-    share: float = 1.0
-    limits: tuple[str, ...] = ()
-    chassis: ChassisState = NO_STATE  # what only this chassis knows of itself
+    `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name; `chassis`: what only this chassis
+    knows of itself.
+    """
+
+    __slots__ = ("chassis", "commands", "limits", "share")
+
+    def __init__(
+        self,
+        commands: tuple[JointCommand, ...],
+        share: float = 1.0,
+        limits: tuple[str, ...] = (),
+        chassis: ChassisState = NO_STATE,
+    ) -> None:
+        self.commands = commands
+        self.share = share
+        self.limits = limits
+        self.chassis = chassis
 
 
 class Features(NamedTuple):

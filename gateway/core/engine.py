@@ -493,7 +493,8 @@ class Engine:
         else:
             self._limiter.reset()
         if self._mode is _ESTOP:
-            return self._law.stop(measured)._replace(limits=limits)
+            motion = self._law.stop(measured)
+            return Motion(motion.commands, motion.share, limits, motion.chassis)
         motion = self._law.motion(self._limiter.rates, measured, braking=braking, path_rate=path_rate)
         if motion.share < 1.0:
             self._limiter.scale(motion.share)

@@ -21,6 +21,7 @@ DT = 1 / 256  # s; exact in binary, so that sums of it are
 LIMITS = Limits(speed=20.0, torque=10.0)
 FULL, SOME = 9.0, 5.0  # N m: at the limit, and with torque to spare
 LONG = 1000
+FIELDS = ("setpoint", "speed", "position", "torque", "fresh", "driving", "dt", "expected")
 
 
 def sample(
@@ -39,7 +40,7 @@ def sample(
 
 def but(x: Sample, **change: object) -> Sample:
     """The same with something else in it."""
-    return Sample(**{name: getattr(x, name) for name in Sample.__slots__} | change)
+    return Sample(**{name: getattr(x, name) for name in FIELDS} | change)
 
 
 def trips(detector: Detector, samples: Iterable[Sample]) -> int | None:

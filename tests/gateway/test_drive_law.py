@@ -95,7 +95,7 @@ def test_a_chassis_without_steered_joints_needs_no_angle() -> None:
 
 def test_what_stands_by_itself_is_braked_to_stop_and_may_be_let_go() -> None:
     standing = law("moby")
-    assert standing.stop(measured()) == Motion((BRAKE,) * 3)
+    assert standing.stop(measured()).commands == (BRAKE,) * 3
     assert standing.may_release(measured(speed=1.0))
     assert [standing.moves(measured(), turning=turning) for turning in (True, False, None)] == [True, False, None]
 
