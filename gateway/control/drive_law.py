@@ -14,7 +14,7 @@ from drivers.contract import CommandKind
 from drivers.records import maker
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
+from gateway.types import NO_STATE, Attitude, ChassisState, Event, Rates, Region, TwistCommand
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
@@ -62,6 +62,7 @@ class Motion(NamedTuple):
     share: float = 1.0
     limits: tuple[str, ...] = ()
     chassis: ChassisState = NO_STATE  # what only this chassis knows of itself
+    events: tuple[Event, ...] = ()
 
 
 class Features(NamedTuple):

@@ -231,12 +231,12 @@ def test_without_compensation_the_chassis_flips_on_arcs_m16() -> None:
 # -- impacts ----------------------------------------------------------------------------------------------------------
 
 
-def impact(*, gain: float | None, torque: float, rate: float) -> Drive:
-    """4000 N for 25 ms across the chassis at the caster's joint, pulled at 1.2 m/s; 2.5 s on the way there."""
+def impact(*, gain: float | None, torque: float, rate: float, force: float = 4000.0) -> Drive:
+    """25 ms across the chassis at the caster's joint, pulled at 1.2 m/s; 2.5 s on the way there."""
     drive = Drive(heading=pi, rate=rate, gain=gain, torque=torque)
     for cycle in range(round(6.0 * rate)):
         t = cycle / rate
-        drive.plant.set_force(Point.CASTER_JOINT, 0.0, 4000.0 if 2.4995 < t < 2.5245 else 0.0)
+        drive.plant.set_force(Point.CASTER_JOINT, 0.0, force if 2.4995 < t < 2.5245 else 0.0)
         drive.cycle(1.2 * min(1.0, t / 1.5), 0.0)
     return drive
 
@@ -267,12 +267,32 @@ def test_without_compensation_it_flips_in_an_impact_m17() -> None:
 
 
 def test_weak_motors_lose_it_in_an_impact_and_that_is_an_alarm_m17() -> None:
-    """20 N m: a wheel is turned against what it is told, which is told within 0.1 s, and the robot stops for it."""
+    """20 N m: a wheel is turned against its setpoint, which is told within 0.1 s, and the robot stops for it."""
     drive = impact(gain=2.0, torque=20.0, rate=250.0)
     assert abs(drive.off(5.9)) > 90.0
     alarms = {code: t for t, code in reversed(drive.alarms)}
     assert 2.5 < alarms["fault_runaway"] < 2.6
     assert drive.engine.mode is Mode.FAULT
+
+
+@pytest.mark.parametrize(("torque", "force"), [(20.0, 2000.0), (30.0, 3000.0)])
+def test_a_flip_in_spite_of_compensation_is_told_m17(torque: float, force: float) -> None:
+    """Where the motors were led far from what they were told, and no fault was seen in that."""
+    drive = impact(gain=2.0, torque=torque, rate=250.0, force=force)
+    assert abs(drive.off(5.9)) > 170.0
+    ((t, code),) = drive.alarms
+    assert code == "pull_lost"
+    assert 2.5 < t < 3.5
+
+
+def test_a_reversal_is_no_flip() -> None:
+    """From pulled to pushed and back, by the command: nothing was lost."""
+    drive = Drive(heading=pi, gain=2.0, own=True)
+    for speed in (0.5, -0.5, 0.5):
+        for cycle in range(375):
+            drive.cycle(speed * min(1.0, cycle / 100.0, (375 - cycle) / 100.0), 0.0)
+    assert drive.off(4.4) == pytest.approx(0.0, abs=1.0)
+    assert drive.alarms == []
 
 
 # -- section 8 --------------------------------------------------------------------------------------------------------
