@@ -36,6 +36,8 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
     FaultKind.FRICTION: lambda chance: chance.uniform(0.02, 0.6),
     FaultKind.MASS: lambda chance: 10 ** chance.uniform(1.3, 3.7),  # up to what the motors hardly move
 }
+# Those that every plant knows.
+ANY_FAULT = [kind for kind in FaultKind if RULES[kind].target is not Target.CASTER]
 LOSSES = (FaultKind.POWER_OFF, FaultKind.POWER_CYCLE, FaultKind.CABLE_OUT, FaultKind.BUS_DOWN, FaultKind.LOOP_PAUSE)
 ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
 KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
@@ -127,7 +129,7 @@ def _command(chance: Random, config: RobotConfig, t: float, *, still: bool, sour
 
 def _fault(chance: Random, config: RobotConfig) -> Entry:
     brief = chance.random() < 0.5
-    kind = chance.choice(LOSSES if brief else list(FaultKind))
+    kind = chance.choice(LOSSES if brief else ANY_FAULT)
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 from drivers.setpoint import CommandKind, Setpoint
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
+from gateway.types import NO_STATE, Attitude, ChassisState, Event, Rates, Region, TwistCommand
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
@@ -52,10 +52,10 @@ class Motion:
     """What the joints are told. Nobody changes it; no named tuple, see `Setpoint`.
 
     `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name; `chassis`: what only this chassis
-    knows of itself.
+    knows of itself; `events`: what it has to say in this cycle.
     """
 
-    __slots__ = ("chassis", "commands", "limits", "share")
+    __slots__ = ("chassis", "commands", "events", "limits", "share")
 
     def __init__(
         self,
@@ -63,11 +63,17 @@ class Motion:
         share: float = 1.0,
         limits: tuple[str, ...] = (),
         chassis: ChassisState = NO_STATE,
+        events: tuple[Event, ...] = (),
     ) -> None:
         self.commands = commands
         self.share = share
         self.limits = limits
         self.chassis = chassis
+        self.events = events
+
+    def limited_by(self, limits: tuple[str, ...]) -> "Motion":
+        """The same, with these limits at work before its own."""
+        return Motion(self.commands, self.share, (*limits, *self.limits), self.chassis, self.events) if limits else self
 
 
 class Features(NamedTuple):

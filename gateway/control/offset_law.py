@@ -14,14 +14,16 @@ from typing import Final, NamedTuple
 from drivers.setpoint import CommandKind
 from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
-from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled
+from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled, wrapped
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
-from gateway.types import ChassisState, Rates
+from gateway.types import ChassisState, Event, Level, Rates
 
 GAIN: Final = "compensation_gain"
 REGION: Final = "compensation_region"
 # Of the chassis in `state`: turn_radius in m; rad/s of the faster wheel and of the joint in the flip that would come.
 FACTS: Final = ("region", "saturated", "turn_radius", "flip_wheel_speed", "flip_joint_speed")
+LOST: Final = "pull_lost"  # the event
+_TURNED_BACK: Final = 2.5  # rad from one cycle to the next: the motion was reversed, which is somebody's will
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
 
 
@@ -35,7 +37,7 @@ class Geometry(NamedTuple):
 
 
 class OffsetDifferentialLaw:
-    """State owner: correction, path rate, last speeds told."""
+    """State owner: correction and the error it holds, path rate, last speeds told."""
 
     def __init__(
         self,
@@ -62,6 +64,7 @@ class OffsetDifferentialLaw:
         self._region: Region | None = None  # as it is told
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
+        self._held: float | None = None  # rad, the error that is being corrected; None: none is
 
     @property
     def features(self) -> Features:
@@ -102,18 +105,19 @@ class OffsetDifferentialLaw:
         rate = estimated if path_rate is None else path_rate
         angle = self._speeds.angles_ahead(measured)[self._geometry.joint]
         vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
+        events = self._lost(pull, vx, vy)
         share = self._flip_share(vx, vy, angle, pull)
         wanted = (vx * share, vy * share, wz * share)
         motion = self._paced(self._speeds.motion(wanted, measured, braking=braking), measured.dt)
         limits = ("flip", *motion.limits) if share < 1.0 else motion.limits
         state = self._state(pull, share * sqrt(vx * vx + vy * vy))
-        return Motion(motion.commands, share * motion.share, limits, state)
+        return Motion(motion.commands, share * motion.share, limits, state, events)
 
     def stop(self, measured: Measured) -> Motion:
         """Every joint braked."""
         if self._compensation is not None:
             self._compensation.release()
-        self._told = None
+        self._told = self._held = None
         return self._speeds.stop(measured)
 
     def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
@@ -147,9 +151,24 @@ class OffsetDifferentialLaw:
 
     def _holds(self, pull: Pull, vx: float, vy: float) -> bool:
         one = self._compensation
-        if one is None or one.gain <= _CORRECTED:
+        if one is None or not self._corrects:
             return False
         return abs(pull.error) <= region_at(one.regions, sqrt(vx * vx + vy * vy))
+
+    def _lost(self, pull: Pull | None, vx: float, vy: float) -> tuple[Event, ...]:
+        """What is told where an error has grown beyond those that are corrected; not where the motion turned back."""
+        before = self._held
+        self._held = pull.error if pull is not None and self._holds(pull, vx, vy) else None
+        if before is None or self._held is not None or pull is None or not self._corrects:
+            return ()
+        if abs(wrapped(pull.error - before)) > _TURNED_BACK:
+            return ()
+        off = f"the chassis is {abs(pull.error):.2f} rad off being pulled"
+        return (Event(Level.WARNING, LOST, f"{off}, more than is corrected: it flips"),)
+
+    @property
+    def _corrects(self) -> bool:
+        return self._compensation is not None and self._compensation.gain > _CORRECTED
 
     def _paced(self, motion: Motion, dt: float) -> Motion:
         """The same within what each motor can change its speed by."""

@@ -170,6 +170,8 @@ class Engine:
             silent=self._sensors.silent,
             jumped=self._sensors.jumped,
         )
+        if motion.events:
+            events = (*events, *self._reporter.of_law(motion.events, now_ns))
         status = None
         if self._reporter.status_due(now_ns) or events:
             status = self._status(inputs, health, selection, reason=reason, motion=motion, measured=measured)
@@ -493,12 +495,11 @@ class Engine:
         else:
             self._limiter.reset()
         if self._mode is _ESTOP:
-            motion = self._law.stop(measured)
-            return Motion(motion.commands, motion.share, limits, motion.chassis)
+            return self._law.stop(measured).limited_by(limits)
         motion = self._law.motion(self._limiter.rates, measured, braking=braking, path_rate=path_rate)
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
-        return Motion(motion.commands, motion.share, (*limits, *motion.limits), motion.chassis)
+        return motion.limited_by(limits)
 
     def _overridden(self, target: Rates) -> tuple[Rates, tuple[str, ...]]:
         """The target within the share of top speed that commands may use; the setpoint goes there within the limits."""

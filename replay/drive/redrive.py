@@ -42,7 +42,7 @@ def redrive(session: Session, *, channel: str, out: Path, tick_ms: int) -> Compa
     """Drive again on this virtual channel and compare. Raises RedriveError, SessionError, ConfigError, LinkError."""
     _check_channel(channel)
     config = parse(session.config_text, "robot file of the session")
-    given, plant = _given(session), _plant(session)
+    given, plant = _given(session), plant_told(session)
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drivegate-")))
@@ -58,6 +58,20 @@ def redrive(session: Session, *, channel: str, out: Path, tick_ms: int) -> Compa
         return compare(moments(session), moments(open_session(path)), config, str(path))
     except ValueError as error:
         raise RedriveError(str(error)) from None
+
+
+def plant_told(session: Session) -> PlantName:
+    """By what the robot of the session moved; of a real one, and where nothing is told, the simple plant.
+
+    Raises RedriveError.
+    """
+    told = session.header.plant
+    if told is None:
+        return PlantName.SIMPLE
+    try:
+        return PlantName(told)
+    except ValueError:
+        raise RedriveError(f"its robot moved by plant {told!r}, which is not known here") from None
 
 
 def as_toml(config: RobotConfig) -> str:
@@ -90,17 +104,6 @@ def _free_port() -> int:
 def _on_channel(config: RobotConfig, channel: str) -> RobotConfig:
     buses = [bus.model_copy(update={"interface": "socketcan", "channel": channel}) for bus in config.bus]
     return config.model_copy(update={"bus": buses})
-
-
-def _plant(session: Session) -> PlantName:
-    """By what the robot of the session moved; of a real one, and where nothing is told, the simple plant."""
-    told = session.header.plant
-    if told is None:
-        return PlantName.SIMPLE
-    try:
-        return PlantName(told)
-    except ValueError:
-        raise RedriveError(f"its robot moved by plant {told!r}, which is not known here") from None
 
 
 _Given = TwistCommand | Request | SensorSample

@@ -2,13 +2,17 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gateway.config import load, parse
 from gateway.types import ZERO_TWIST, Mode, Twist
 from replay.compare.likeness import Comparison, Moment, compare, moments
-from replay.drive.redrive import RedriveError, as_toml, redrive
+from replay.drive.closed_loop import ClosedLoop
+from replay.drive.recording import SessionRecording
+from replay.drive.redrive import RedriveError, as_toml, plant_told, redrive
 from replay.sessions.reader import Session, open_session
+from replay.sim.plants.contract import PlantName
 from tests.recordings import write_drive
 from tests.world import NAMES, ROBOTS, World
 
@@ -68,6 +72,25 @@ def test_no_commands_no_comparison() -> None:
 def test_a_robot_file_survives_being_written(name: str) -> None:
     config, _ = load(ROBOTS / f"{name}.toml")
     assert parse(as_toml(config), "copy") == config
+
+
+@pytest.mark.parametrize("plant", [*PlantName, None])
+def test_the_plant_of_the_session_is_taken_again(plant: PlantName | None, tmp_path: Path) -> None:
+    config, text = load(ROBOTS / "moby.toml")
+    recording = SessionRecording(config, text, "moby", directory=tmp_path, started_wall_ns=1, plant=plant)
+    loop = ClosedLoop(config)
+    recording.put(*loop.cycle(), loop.engine.snapshot)
+    recording.close()
+    session = open_session(recording.session)
+    assert session.header.plant == (None if plant is None else plant.value)
+    assert plant_told(session) is (plant or PlantName.SIMPLE)
+
+
+def test_a_plant_that_is_not_known_is_refused(tmp_path: Path) -> None:
+    session = drive(tmp_path, 0.1, seconds=0.1)
+    session.header = msgspec.structs.replace(session.header, plant="wood")
+    with pytest.raises(RedriveError, match="plant 'wood', which is not known here"):
+        plant_told(session)
 
 
 def test_a_simulated_robot_is_never_put_on_a_bus_of_motors(tmp_path: Path) -> None:

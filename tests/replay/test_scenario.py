@@ -368,7 +368,7 @@ def test_bundled_scenarios(path: Path) -> None:
 
 
 def test_there_are_bundled_scenarios() -> None:
-    assert {path.stem for path in SCENARIOS} >= {"bus_dropout", "emergency_stop", "frozen_encoder", "slope"}
+    assert {path.stem for path in SCENARIOS} >= {"bus_dropout", "emergency_stop", "frozen_encoder", "impact", "slope"}
 
 
 # -- the command ------------------------------------------------------------------------------------------------------

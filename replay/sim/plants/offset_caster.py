@@ -15,7 +15,7 @@ substep may err in which slip ends or a torque jumps.
 """
 
 from collections.abc import Sequence
-from math import cos, isinf, sin, sqrt
+from math import isinf, sqrt
 
 from gateway.arithmetic import sin_cos
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
@@ -164,7 +164,7 @@ class OffsetCaster:
         front, side = p.caster_position + p.trail * s, -p.trail * c  # where the caster touches the ground
         on_caster = (ahead + mass * p.axle_offset) / (front + p.axle_offset)
         both, apart = mass - on_caster, (left - on_caster * side) / (p.track / 2.0)
-        pull = GRAVITY * cos(self.slope)
+        pull = GRAVITY * sin_cos(self.slope)[1]
         return max(0.0, (both + apart) / 2.0 * pull), max(0.0, (both - apart) / 2.0 * pull)
 
     def set_velocity(self, velocity: Motion) -> None:
@@ -267,7 +267,7 @@ class OffsetCaster:
         """m/s^2 along world x that everything is given."""
         if not self.push and not self.slope:
             return 0.0
-        return self.push / self._mass - GRAVITY * sin(self.slope)
+        return self.push / self._mass - GRAVITY * sin_cos(self.slope)[0]
 
     def _slopes(
         self, heading: float, swivel: float, motion: Motion, force: Force, field: float
