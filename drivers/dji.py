@@ -42,7 +42,7 @@ from drivers.contract import (
     ReceiveFilter,
     Traffic,
 )
-from drivers.records import maker
+from drivers.records import data_frame, maker
 from drivers.setpoint import CommandKind, MotorCommand
 from drivers.twins import TwinWatch, twin_fault
 
@@ -332,7 +332,7 @@ class DjiDriver:
     def _frames(self, raws: Sequence[int], now_ns: int) -> list[CanFrame]:
         self._sent_ns = now_ns
         return [
-            CanFrame(self._bus, identifier, _COMMAND.pack(*raws[first : first + MOTORS_PER_FRAME]))
+            data_frame(self._bus, identifier, _COMMAND.pack(*raws[first : first + MOTORS_PER_FRAME]))
             for identifier, first in self._command_frames
         ]
 

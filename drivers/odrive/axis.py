@@ -13,6 +13,7 @@ from drivers.odrive import tables
 from drivers.odrive.firmware import FIRMWARES, error_code, error_words
 from drivers.odrive.tables import AxisState, Control
 from drivers.odrive.watchdog import watchdog_of
+from drivers.records import data_frame
 from drivers.setpoint import CommandKind
 from drivers.twins import CODE as ID_TWIN
 from drivers.twins import TwinWatch, twin_fault
@@ -155,10 +156,10 @@ class Axis:
             value = limit if value > limit else -limit if value < -limit else value
             if feed_forward != 0.0:
                 feed_forward = torque if feed_forward > torque else -torque if feed_forward < -torque else feed_forward
-            return CanFrame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, feed_forward))
+            return data_frame(self.bus, self._velocity_id, _PACK_VELOCITY(value / REVOLUTION, feed_forward))
         if kind is _TORQUE:
             value = torque if value > torque else -torque if value < -torque else value
-            return CanFrame(self.bus, self._torque_id, _PACK_TORQUE(value))
+            return data_frame(self.bus, self._torque_id, _PACK_TORQUE(value))
         return self.zero_frame
 
     def limits(self) -> tuple[float, float]:

@@ -18,9 +18,11 @@ Axes beyond the twist (`Rates`) accelerate nothing but themselves.
 from math import ceil, sqrt
 from typing import Final
 
+from drivers.records import maker
 from gateway.arithmetic import dot
 from gateway.types import PLANAR, Rates, Twist
 
+_twist: Final = maker(Twist)
 TURNING_SHARE: Final = 0.7  # of the acceleration limits; the rest stays free for braking in a curve
 _TURNING_DELAY: Final = 1.4461490724592034  # atanh(sqrt(k))/sqrt(k), k = TURNING_SHARE: see `stopping_time`
 LEAST_SHARE: Final = 0.2  # of an acceleration limit that changing speed always has, wherever the setpoint was left
@@ -92,8 +94,7 @@ class TwistLimiter:
     @property
     def setpoint(self) -> Twist:
         """What of it moves the body in its plane."""
-        vx, vy, wz = self.rates[:3]
-        return Twist(vx, vy, wz)
+        return _twist(self.rates[:_UNROLLED])
 
     @property
     def at_rest(self) -> bool:

@@ -13,6 +13,7 @@ for longer finds another world, perhaps with another source that drives.
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from drivers.records import maker
 from gateway.config import Source
 from gateway.control.drive_law import TWISTS, Features
 from gateway.types import Refusal, RefusalCode, SourceStatus, TwistCommand
@@ -28,6 +29,7 @@ class Selection(NamedTuple):
 
 
 NOBODY: Final = Selection(None, None)
+_selection: Final = maker(Selection)
 
 
 class Arbiter:
@@ -74,7 +76,7 @@ class Arbiter:
         for name in self._timeout_ns:
             command = self._latest.get(name)
             if command is not None and name in self._admitted and self._fresh(command, now_ns):
-                return Selection(command, now_ns - command.received_ns)
+                return _selection((command, now_ns - command.received_ns))
         return NOBODY
 
     def moving(self, now_ns: int) -> TwistCommand | None:

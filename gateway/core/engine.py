@@ -18,6 +18,7 @@ from functools import partial
 from typing import Final
 
 from drivers.contract import CanFrame, MotorFeedback, MotorState
+from drivers.records import maker
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
@@ -55,6 +56,9 @@ from gateway.types import (
     TwistFrame,
 )
 
+_measured: Final = maker(Measured)
+_trace: Final = maker(Trace)
+_outputs: Final = maker(Outputs)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _IDLE: Final = Mode.IDLE
 _STARTING: Final = Mode.STARTING
@@ -175,14 +179,8 @@ class Engine:
         status = None
         if self._reporter.status_due(now_ns) or events:
             status = self._status(inputs, health, selection, reason=reason, motion=motion, measured=measured)
-        return Outputs(
-            frames,
-            self._mode,
-            events,
-            replies,
-            self._odometry.read(twist, residual) if self._reporter.odometry_due(now_ns) else None,
-            status,
-            Trace(
+        trace = _trace(
+            (
                 target,
                 self._limiter.setpoint,
                 twist,
@@ -198,9 +196,11 @@ class Engine:
                 measured.heading,
                 measured.attitude,
                 measured.ranges,
-            ),
-            self._shutdown and not self._energised,
+            )
         )
+        odometry = self._odometry.read(twist, residual) if self._reporter.odometry_due(now_ns) else None
+        finished = self._shutdown and not self._energised
+        return _outputs((frames, self._mode, events, replies, odometry, status, trace, finished))
 
     def coast_frames(self) -> list[CanFrame]:
         """Frames that release every motor; valid in any state."""
@@ -259,19 +259,21 @@ class Engine:
         readings = self._sensors.read(now_ns)
         self._move(deltas, trusted, readings, residual=residual, dt=dt)
         self._slip.look(residual, dt)
-        return Measured(
-            now_ns,
-            dt,
-            measured.speeds,
-            measured.positions,
-            measured.torques,
-            measured.ages_ns,
-            tuple(trusted),
-            estimate,
-            self._slip.slipping,
-            readings.heading and readings.heading.angle,
-            readings.attitude,
-            readings.ranges,
+        return _measured(
+            (
+                now_ns,
+                dt,
+                measured.speeds,
+                measured.positions,
+                measured.torques,
+                measured.ages_ns,
+                tuple(trusted),
+                estimate,
+                self._slip.slipping,
+                readings.heading and readings.heading.angle,
+                readings.attitude,
+                readings.ranges,
+            )
         )
 
     def _move(

@@ -4,12 +4,14 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from drivers.contract import CanFrame, MotorFeedback, MotorState
+from drivers.records import maker
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from gateway.control.drive_law import JointCommand, Measured
 from gateway.core.assembly import Robot
 from gateway.core.detectors import Sample
 from gateway.types import MotorStatus
 
+_measured: Final = maker(Measured)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _SILENT: Final = MotorState.SILENT
 _OPERATIONAL: Final = MotorState.OPERATIONAL
@@ -63,7 +65,8 @@ class Motors:
                     torques[index] = gear.output_torque(feedback.torque)
         self.feedback = tuple(feedbacks)
         ages_ns = tuple([feedback.age_ns for feedback in feedbacks])
-        return Measured(now_ns, dt, tuple(speeds), tuple(positions), tuple(torques), ages_ns)
+        known = tuple(speeds), tuple(positions), tuple(torques), ages_ns
+        return _measured((now_ns, dt, *known, (), None, False, None, None, ()))
 
     def command(self, commands: Sequence[JointCommand], measured: Measured) -> tuple[CanFrame, ...]:
         """Frames of this cycle."""

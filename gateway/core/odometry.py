@@ -10,10 +10,13 @@ from collections.abc import Sequence
 from math import remainder, tau
 from typing import Final
 
+from drivers.records import maker
 from gateway.arithmetic import sin_cos
 from gateway.kinematics.contract import Kinematics
 from gateway.types import NO_DISPLACEMENT, Displacement, Odometry, Pose, Twist
 
+_pose: Final = maker(Pose)
+_displacement: Final = maker(Displacement)
 # Variance per metre and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard floor.
 # Source: chosen by us until a robot has been measured; stated in the README.
 _VARIANCE_PER_METRE: Final = 4e-4  # m^2/m, along and across
@@ -48,7 +51,7 @@ def advance(pose: Pose, way: Displacement) -> Pose:
         along, across = s / turn, (1.0 - c) / turn
     forward, left = along * dx - across * dy, across * dx + along * dy
     s, c = sin_cos(pose.theta)
-    return Pose(pose.x + c * forward - s * left, pose.y + s * forward + c * left, pose.theta + turn)
+    return _pose((pose.x + c * forward - s * left, pose.y + s * forward + c * left, pose.theta + turn))
 
 
 class WheelOdometry:
@@ -186,7 +189,7 @@ class WheelOdometry:
                 for position, delta in zip(positions, deltas)
             ]
         estimate = self._kinematics.twist(deltas, positions)
-        return None if estimate is None else Displacement(*estimate.twist)
+        return None if estimate is None else _displacement(estimate.twist)
 
     def _move(self, way: Displacement, turn: float | None) -> None:
         length = abs(way.x) + abs(way.y)
