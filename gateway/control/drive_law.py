@@ -14,7 +14,7 @@ from drivers.contract import CommandKind
 from drivers.records import maker
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, Attitude, ChassisState, Rates, Region, TwistCommand
+from gateway.types import NO_STATE, Attitude, ChassisState, Event, Rates, Region, TwistCommand
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
@@ -56,12 +56,17 @@ BRAKE: Final = JointCommand(CommandKind.BRAKE)
 
 
 class Motion(NamedTuple):
-    """What the joints are told. `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name."""
+    """What the joints are told. `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name.
+
+    `turned`: rad, counter-clockwise, from the setpoint's direction to that of a manoeuvre that is driven instead.
+    """
 
     commands: tuple[JointCommand, ...]
     share: float = 1.0
     limits: tuple[str, ...] = ()
     chassis: ChassisState = NO_STATE  # what only this chassis knows of itself
+    events: tuple[Event, ...] = ()
+    turned: float = 0.0
 
 
 class Features(NamedTuple):
@@ -69,6 +74,7 @@ class Features(NamedTuple):
 
     width: bool = False  # the wheels can go apart
     regions: frozenset[Region] = frozenset({Region.ANY})
+    more_regions: str = ""  # what the robot file has to say for others, where anything helps
 
     def objection(self, command: TwistCommand) -> str | None:
         """Why this command is none for this chassis; None: it is one."""
@@ -76,7 +82,7 @@ class Features(NamedTuple):
             return f"width_rate = {command.width_rate:g}: must be left out: the width of this chassis is fixed"
         if command.region not in self.regions:
             known = " or ".join(repr(region.value) for region in Region if region in self.regions)
-            return f"region = {command.region.value!r}: must be {known} on this chassis"
+            return f"region = {command.region.value!r}: must be {known} on this chassis{self.more_regions}"
         return None
 
 
@@ -98,6 +104,14 @@ class DriveLaw(Protocol):
 
     def set(self, name: str, value: float) -> str | None:
         """Take a new value of one of these, within its range and without a step; why not, if not."""
+        ...
+
+    def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
+        """What of a target may be driven towards now: all of it, less, or nothing yet.
+
+        Of a law with more than one region asked before the limits of the body, in each cycle that drives, and before
+        `motion`. `region`: the way round that the command asks for; `whole`: every motor is well.
+        """
         ...
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
@@ -158,10 +172,18 @@ class SpeedLaw:
         """There is nothing to set."""
         return f"{name}: this chassis has no such setting"
 
+    def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
+        """All of it."""
+        return target
+
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
+        return self.motion_at(setpoint, self.angles_ahead(measured), braking=braking)
+
+    def motion_at(self, setpoint: Rates, angles: Sequence[float | None], *, braking: bool) -> Motion:
+        """The same with the steered joints at these angles, rad."""
         self._blind = self._blind and braking
-        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self.angles_ahead(measured))
+        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, angles)
         if speeds is None:
             self._blind = braking
             return Motion(_velocities(self._in_proportion(setpoint)))

@@ -183,7 +183,7 @@ class RunawayDetector:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._before: tuple[float, float] | None = None  # speed and error of the last new sample
-        self._begun = (0.0, 0.0)  # both when they began to grow
+        self._begun = self._begun_speed = 0.0  # error and speed when they began to grow
         self._time = 0.0
         self._samples = 0
 
@@ -198,13 +198,14 @@ class RunawayDetector:
         before, self._before = self._before, (speed, error)
         beyond = error * speed > 0.0
         if before is None or not beyond or abs(error) <= abs(before[1]) or abs(speed) <= abs(before[0]):
-            self._begun, self._time, self._samples = (abs(speed), abs(error)), 0.0, 0
+            self._begun, self._time, self._samples = abs(error), 0.0, 0
+            self._begun_speed = abs(speed)
             return None
         self._samples += 1
         if self._samples < RUNAWAY_SAMPLES:
             return None
         # Of both: an error that grows because the setpoint goes away, as into an emergency stop, is not the motor's.
-        growth, top = min(abs(speed) - self._begun[0], abs(error) - self._begun[1]), self._limits.speed
+        growth, top = min(abs(speed) - self._begun_speed, abs(error) - self._begun), self._limits.speed
         if self._time < RUNAWAY_TIME or growth < max(RUNAWAY_GROWTH, RUNAWAY_RATE * self._time) * top:
             return None
         return f"runs away: {speed:.2f} rad/s and rising where {x.setpoint:.2f} rad/s is commanded"

@@ -138,6 +138,10 @@ class Reporter:
         events += self._mode_change(mode, reason)
         return tuple(events)
 
+    def of_law(self, told: Sequence[Event], now_ns: int) -> list[Event]:
+        """What the drive law has to tell of this cycle."""
+        return [event for one in told for event in _counted(*one, self._throttle.admit(one.code, now_ns))]
+
     def _refusal(self, refusal: Refusal, now_ns: int) -> list[Event]:
         self.refused += 1
         source = refusal.source if refusal.source in self._sources else None  # a stranger's name is no kind of its own
