@@ -6,11 +6,12 @@ keeps it. A new process begins where the number of the cycle falls back; nothing
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
+from math import hypot
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.control.limits import stopping_time
-from gateway.types import ZERO_TWIST, BusEventKind, Inputs, Mode, TwistCommand
+from gateway.types import ZERO_TWIST, BusEventKind, Inputs, Mode, Region, TwistCommand
 from replay.drive.moment import Moment
 
 DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
@@ -22,6 +23,7 @@ DIP_NS = 2_000_000_000  # of silence that is forgiven to who tells when it sent
 RETURN_NS = 200_000_000  # for motors to be heard again when their bus is back
 STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
+NOTICE_NS = 200_000_000  # from the plan of a manoeuvre to its first motion
 FOLLOWING_S = 0.25  # by which real wheels may be later than their setpoints
 
 Drive = Sequence[Moment]
@@ -115,6 +117,38 @@ def no_steps(drive: Drive, config: RobotConfig) -> Iterator[str]:
                 yield f"{_when(now)}: {name} steps from {old:.4f} to {new:.4f} rad/s"
 
 
+def manoeuvres_only_as_asked(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """A chassis is turned round only for a fresh command that asks for a region, and slower than that commands.
+
+    While `state` tells that it is, the joint is driven straight along or across the chassis, no faster than the
+    setpoint, and the platform is not turned; for NOTICE_S before, wheels stand. How far it may get is in no law,
+    because pushes and slopes move it too: see tests/gateway/test_region_drives.py.
+    """
+    if getattr(config.robot, "manoeuvre", None) is None:
+        return
+    radius, offset, track = (getattr(config.robot, key) for key in ("wheel_radius", "axle_offset", "track"))
+    zeros, planned_ns = _Zeros(config), -NOTICE_NS
+    for now in drive:
+        zeros = _Zeros(config) if now.inputs.cycle == 0 else zeros
+        zeros.receive(now.inputs)
+        stage = now.outputs.status.chassis.get("manoeuvre") if now.outputs.status is not None else None
+        if any(event.code == "manoeuvre_planned" for event in now.outputs.events):
+            planned_ns = now.inputs.now_ns
+            if stage != "planned":
+                yield f"{_when(now)}: a manoeuvre is planned, and state tells {stage!r}"
+        if stage not in {"planned", "turning", "driving"}:
+            continue
+        asked = [hypot(*one.twist[:2]) for one in zeros.entitled(now.inputs.now_ns) if one.region is not Region.ANY]
+        left, right, joint = (speed or 0.0 for speed in now.outputs.trace.wheel_setpoints)
+        along, across = radius * (left + right) / 2.0, offset * radius * (right - left) / track
+        turning = joint + across / offset
+        most = min(max(asked, default=0.0), hypot(*now.outputs.trace.setpoint[:2]))
+        if hypot(along, across) > most + ROUNDING or min(abs(along), abs(across)) > ROUNDING or abs(turning) > ROUNDING:
+            yield f"{_when(now)}: {stage} at {along}, {across} m/s and {turning} rad/s where {most} m/s are asked for"
+        if hypot(along, across) > 0.0 and now.inputs.now_ns - planned_ns < NOTICE_NS:
+            yield f"{_when(now)}: moves {(now.inputs.now_ns - planned_ns) * 1e-9} s after it was planned"
+
+
 def released_in_idle(drive: Drive, config: RobotConfig) -> Iterator[str]:
     """In IDLE no motor is given anything but its release."""
     names = config.robot.motor_names()
@@ -153,6 +187,7 @@ LAWS: dict[str, Law] = {
     "nothing moves without a zero of its own": nothing_moves_without_a_zero,
     "no steps but into an emergency stop": no_steps,
     "everything is released in IDLE": released_in_idle,
+    "turns its chassis round only as it was asked to": manoeuvres_only_as_asked,
 }
 REST = "rests within the computed time"  # of drives that leave the motors able to brake
 ALL_LAWS: dict[str, Law] = {**LAWS, REST: rests_in_time}

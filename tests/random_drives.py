@@ -14,6 +14,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from gateway.config import RobotConfig
+from gateway.types import Region
 from replay.drive.faults import RULES, FaultKind, Target
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
@@ -124,6 +125,8 @@ def _command(chance: Random, config: RobotConfig, t: float, *, still: bool, sour
     command = {"source": source, "vx": vx, "vy": vy, "wz": wz, "rate": rate, "stamped": stamped}
     if chance.random() < 0.1:
         command["sender"] = "stranger"
+    if getattr(config.robot, "manoeuvre", None) is not None:
+        command["region"] = chance.choice(list(Region)).value
     return {"t": t, "command": command}
 
 

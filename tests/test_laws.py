@@ -32,3 +32,14 @@ def test_nor_does_one_that_is_kept_pulled_by_motors_with_limits(seed: int) -> No
     config = parse(text.replace("[[bus]]", limits, 1), "moby")
     found = drive(seed, config, can_brake=False).violations
     assert {law: broken[0] for law, broken in found.items() if broken} == {}
+
+
+@pytest.mark.parametrize("form", ["arc", "closed"])
+@pytest.mark.parametrize(("seed", "can_brake"), [(20, False), (21, False), (22, False), (120, True), (121, True)])
+def test_nor_does_one_that_is_asked_for_regions(seed: int, can_brake: bool, form: str) -> None:
+    section = f'[robot.compensation]\nregion = 1.5\n\n[robot.manoeuvre]\nform = "{form}"\nmax_footprint = 0.6\n\n'
+    text = robot_text("moby").replace("[robot.body]", f"{section}[robot.body]", 1)
+    limits = "motor_acceleration = { left = 60.0, right = 60.0, platform = 25.0 }\n\n[[bus]]"
+    config = parse(text.replace("[[bus]]", limits, 1), "moby")
+    found = drive(seed, config, can_brake=can_brake).violations
+    assert {law: broken[0] for law, broken in found.items() if broken} == {}

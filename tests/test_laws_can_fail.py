@@ -3,29 +3,31 @@
 Every row takes one rule out and names the law that must notice, in a short drive that keeps all laws with the rule in.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import pytest
 
 from drivers.contract import MotorFeedback
 from gateway.config import parse
+from gateway.control import region_policy
 from gateway.control.drive_law import Measured, Motion, SpeedLaw
 from gateway.control.limits import TwistLimiter
+from gateway.control.region_policy import RegionPolicy
 from gateway.core import engine, health, supervisor
 from gateway.core.arbiter import Arbiter
 from gateway.core.engine import Engine
 from gateway.core.health import Fault, HealthMonitor
 from gateway.core.joint_trust import JointTrust
 from gateway.core.standstill import Standstill
-from gateway.types import ZERO_TWIST, Mode, Twist, TwistCommand
+from gateway.types import ZERO_TWIST, Mode, Rates, Region, Twist, TwistCommand
 from replay.drive.scenario_file import Scenario
 from tests.laws import ALL_LAWS
 from tests.random_drives import Driven, judge
 from tests.world import robot_text
 
 pytestmark = pytest.mark.pure_python
-GROWS, LET_GO, ZERO, STEPS, IDLE, REST = ALL_LAWS
+GROWS, LET_GO, ZERO, STEPS, IDLE, ROUND, REST = ALL_LAWS
 Patch = pytest.MonkeyPatch
 Entry = dict[str, Any]
 
@@ -170,6 +172,41 @@ def keep_energised_in_idle(patch: Patch) -> None:
     patch.setattr(Engine, "_enter", entering)
 
 
+# turns its chassis round only as it was asked to
+
+
+def go_on_whoever_asks(patch: Patch) -> None:
+    """What has begun is driven to its end."""
+    patch.setattr(RegionPolicy, "_why_end", lambda self, wish, seen: None)
+    wishes: list[region_policy.Wish] = []
+
+    def remembered(target: Rates, region: Region, path_rate: float | None) -> region_policy.Wish | None:
+        wish = wish_of(target, region, path_rate)
+        wishes.extend([] if wish is None else [wish])
+        return wishes[-1] if wishes else None
+
+    wish_of = region_policy._wish
+    patch.setattr(region_policy, "_wish", remembered)
+
+
+def begin_at_once(patch: Patch) -> None:
+    """Nobody gets the time to take it back."""
+    patch.setattr(region_policy, "NOTICE", 0.0)
+
+
+def turn_the_platform_too(patch: Patch) -> None:
+    """The turn that the command asks for is driven on top of it."""
+    patch.setattr(SpeedLaw, "motion_at", turning_too(SpeedLaw.motion_at))
+
+
+def turning_too(motion_at: Callable[..., Motion]) -> Callable[..., Motion]:
+    def turning(self: SpeedLaw, setpoint: Rates, angles: Sequence[float | None], *, braking: bool) -> Motion:
+        vx, vy, wz = setpoint
+        return motion_at(self, (vx, vy, wz + 0.1 * (abs(vx) + abs(vy))), angles, braking=braking)
+
+    return turning
+
+
 # rests within the computed time
 
 
@@ -207,6 +244,11 @@ class Removed(NamedTuple):
     seconds: float
     at: list[Entry]
     can_brake: bool = False
+    edit: Callable[[str], str] = str  # of the robot file
+
+
+def with_manoeuvre(text: str) -> str:
+    return text.replace("[robot.body]", '[robot.manoeuvre]\nform = "arc"\nmax_footprint = 0.6\n\n[robot.body]', 1)
 
 
 BACK_AND_FORTH = [say(0.0), say(0.6, 1.5), say(1.6, 1.0, 1.4), hush(1.8)]
@@ -246,6 +288,9 @@ RESET_AT_ONCE = [
     *(ask(2.1 + 0.05 * n, "reset") for n in range(10)),
 ]
 
+TURNED_ROUND = [say(0.0), say(0.6, -0.5, region="push")]
+TAKEN_BACK = [say(0.0), say(0.6, -0.5, region="push"), say(1.5, -0.5)]
+
 ROWS = (
     Removed(GROWS, brake_along_the_line, "omni4", 2.6, BACK_AND_FORTH),
     Removed(LET_GO, lose_nothing, "omni4", 2.8, A_MOTOR_OFF),
@@ -261,6 +306,9 @@ ROWS = (
     Removed(STEPS, see_again_at_once, "moby", 2.2, SWINGING),
     Removed(STEPS, fall_back_in_one_step, "omni4", 3.7, HIT_WHILE_BRAKING),
     Removed(IDLE, keep_energised_in_idle, "omni4", 2.6, RESET_AT_ONCE),
+    Removed(ROUND, go_on_whoever_asks, "moby", 2.5, TAKEN_BACK, edit=with_manoeuvre),
+    Removed(ROUND, begin_at_once, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),
+    Removed(ROUND, turn_the_platform_too, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),
     Removed(REST, fresh_for_ever, "omni4", 4.2, SILENCE, can_brake=True),
     Removed(REST, never_quiet, "omni4", 4.2, SILENCE, can_brake=True),
     Removed(REST, brake_at_a_third, "omni4", 4.6, TOP_SPEED, can_brake=True),
@@ -270,7 +318,7 @@ ROWS = (
 
 def driven(row: Removed) -> Driven:
     script = Scenario.model_validate({"robot": row.robot, "seconds": row.seconds, "at": row.at})
-    return judge(script, parse(robot_text(row.robot), row.robot), can_brake=row.can_brake)
+    return judge(script, parse(row.edit(robot_text(row.robot)), row.robot), can_brake=row.can_brake)
 
 
 @pytest.mark.parametrize("row", {id(row.at): row for row in ROWS}.values(), ids=lambda row: row.remove.__name__)

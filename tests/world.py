@@ -10,6 +10,7 @@ from gateway.types import (
     Event,
     Mode,
     Outputs,
+    Region,
     Reply,
     Request,
     RequestKind,
@@ -89,9 +90,15 @@ class World:
         return record[1]
 
     def command(
-        self, twist: Twist, source: str = "teleop", frame: TwistFrame = TwistFrame.BODY, *, stamped: bool = False
+        self,
+        twist: Twist,
+        source: str = "teleop",
+        frame: TwistFrame = TwistFrame.BODY,
+        *,
+        stamped: bool = False,
+        region: Region = Region.ANY,
     ) -> TwistCommand:
-        return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns, source, stamped)
+        return TwistCommand(source, twist, frame, None, self.now_ns + self.period_ns, source, stamped, region=region)
 
     def run(
         self,
@@ -101,13 +108,15 @@ class World:
         source: str = "teleop",
         frame: TwistFrame = TwistFrame.BODY,
         stamped: bool = False,
+        region: Region = Region.ANY,
         until: Callable[[Outputs], bool] | None = None,
         sensed: Callable[[int], Iterable[SensorSample]] = lambda _: (),
     ) -> Outputs:
         """So many seconds with this twist streamed every 20 ms (None: silence). `sensed`: by the time of the cycle."""
         for index in range(round(seconds * 1e9 / self.period_ns)):
             due = twist is not None and index % 5 == 0
-            commands = [self.command(twist, source, frame, stamped=stamped)] if due and twist is not None else []
+            wanted = twist if due else None
+            commands = [] if wanted is None else [self.command(wanted, source, frame, stamped=stamped, region=region)]
             outputs = self.cycle(commands=commands, samples=sensed(self.now_ns + self.period_ns))
             if until is not None and until(outputs):
                 break

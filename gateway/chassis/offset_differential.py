@@ -11,7 +11,9 @@ from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Trailing
 from gateway.control.compensation import Compensation, RegionAt, largest_region, longest_period
 from gateway.control.drive_law import SpeedLaw
+from gateway.control.manoeuvre import Form, Limits
 from gateway.control.offset_law import Geometry, OffsetDifferentialLaw
+from gateway.control.region_policy import RegionPolicy
 from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
@@ -80,6 +82,16 @@ class CompensationConfig(Section):
         return tuple(RegionAt(point.speed, point.region) for point in self.region)
 
 
+class ManoeuvreConfig(Section):
+    """How it may turn its chassis round for a command that asks for a region; without this section none may ask.
+
+    `arc`: the joint ends beside its place, `closed`: in it. `max_footprint`: m by which it may leave it on the way.
+    """
+
+    form: Literal["arc", "closed"]
+    max_footprint: Annotated[float, Field(gt=0.0, le=20.0, description="m")]
+
+
 class OffsetDifferentialRobot(Section):
     """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
 
@@ -104,6 +116,7 @@ class OffsetDifferentialRobot(Section):
     platform: Name
     caster: Caster | None = None
     compensation: CompensationConfig | None = None
+    manoeuvre: ManoeuvreConfig | None = None
 
     def motor_names(self) -> tuple[str, ...]:
         """Left wheel, right wheel, platform joint."""
@@ -135,11 +148,29 @@ class OffsetDifferentialRobot(Section):
             geometry=Geometry(PLATFORM, self.wheel_radius, self.axle_offset, self.track),
             compensation=compensation,
             flip=None if limits is None else self._flip_limit(limits, parts.acceleration),
+            policy=None if self.manoeuvre is None else self._policy(self.manoeuvre, parts),
             accelerations=limits,
             period=parts.period,
             longest_period=partial(
                 longest_period, axle_offset=self.axle_offset, speed=max(parts.velocity[:2]), delay=parts.delay
             ),
+        )
+
+    def _policy(self, given: ManoeuvreConfig, parts: LawParts) -> RegionPolicy:
+        """How fast the joint can go straight along and across the chassis, each wheel and the joint doing its part."""
+        ahead = 1.0 / self.wheel_radius
+        wheel = max(ahead, self.track / (2.0 * self.axle_offset * self.wheel_radius))
+        shares = (wheel, wheel, 1.0 / self.axle_offset)  # rad/s of each motor per m/s
+        limits = Limits(
+            velocity=min(parts.velocity[:2]),
+            acceleration=min(parts.acceleration[:2]),
+            motor_speed=min(speed / share for speed, share in zip(parts.top_speeds, shares, strict=True)),
+        )
+        if parts.accelerations is not None:
+            changes = (change / share for change, share in zip(parts.accelerations, shares, strict=True))
+            limits = limits._replace(motor_acceleration=min(changes))
+        return RegionPolicy(
+            form=Form(given.form), max_footprint=given.max_footprint, limits=limits, axle_offset=self.axle_offset
         )
 
     def _across(self, accelerations: Sequence[float]) -> float:

@@ -34,7 +34,7 @@ from gateway.cli.output import complain, console
 from gateway.client import Client
 from gateway.commander import COMMAND_RATE_HZ, objection
 from gateway.edges.messages import ResetAnswer
-from gateway.types import ZERO_TWIST, Level, Twist
+from gateway.types import ZERO_TWIST, Level, Region, Twist
 
 MAX_READ = 1024  # bytes; a second of keys is far less
 RELEASE_S = 0.6  # terminals wait up to half a second before the first repeat
@@ -52,11 +52,14 @@ STOP_KEY, RESET_KEY = "!", "r"
 HELP = "w/s forward/back  a/d left/right  q/e turn  space zero  ! emergency stop  r reset  x quit"
 
 
-def drive(
+def drive(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     name: RobotName,
     speed: Annotated[float, typer.Option(min=0.01, max=5.0, help="Speed while a key is held, m/s.")] = 0.3,
     turn: Annotated[float, typer.Option(min=0.01, max=10.0, help="Turn rate while a key is held, rad/s.")] = 0.6,
     source: Annotated[str, typer.Option(help="Command source as named in the robot file.")] = "teleop",
+    region: Annotated[Region, typer.Option(help="Which way round the chassis is to go; it may turn round first.")] = (
+        Region.ANY
+    ),
     connect: Connect = None,
 ) -> None:
     """Drive with the keyboard; zero as soon as no key is held and when this ends."""
@@ -64,7 +67,7 @@ def drive(
         complain("drive needs a terminal; use `drivegate send` in scripts")
         raise typer.Exit(2)
     with open_client(name, connect, zero_on_exit=True) as client:
-        robot = _Robot(client, source)
+        robot = _Robot(client, source, region)
         with ThreadPoolExecutor(2) as waiting, _raw(sys.stdin):
             _loop(robot, Keys(Twist(speed, speed, turn)), waiting)
     if robot.stop is not None and not robot.stop.result():
@@ -105,6 +108,7 @@ class _Robot:
 
     client: Client
     source: str
+    region: Region = Region.ANY
     stop: Future[bool] | None = None
     reset: Future[ResetAnswer] | None = None
     told: str = ""
@@ -124,7 +128,8 @@ class _Robot:
     def hear(self) -> None:
         """Keeps the newest event that a driver should see."""
         for event in self.client.events():
-            if event.level is not Level.INFO or is_refusal(event, self.source):
+            manoeuvre = event.code.startswith("manoeuvre_")
+            if event.level is not Level.INFO or manoeuvre or is_refusal(event, self.source):
                 self.told = f"{event.code}: {event.text}"
 
 
@@ -136,7 +141,7 @@ def _loop(robot: _Robot, keys: Keys, waiting: ThreadPoolExecutor) -> None:
             if keys.quit:
                 return
             twist = ZERO_TWIST if robot.stopping else keys.twist
-            robot.client.send_twist(*twist, source=robot.source)
+            robot.client.send_twist(*twist, source=robot.source, region=robot.region)
             robot.hear()
             live.update(Text("\n".join(_lines(robot, twist))))
 

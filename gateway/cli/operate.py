@@ -195,6 +195,8 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
         f"overruns {status.overruns}  refused {status.refused}  frames dropped {status.tx_dropped}",
         *(f"{event.level.value} {event.code}: {event.text}" for event in events),
     ]
+    facts = [f"{name} {_fact(fact)}" for name, fact in status.chassis.items() if fact is not None]
+    caption[2:2] = ["  ".join(facts)] if facts else []
     table = Table("motor", "state", "commanded", "measured", "torque", "age", title=title, caption="\n".join(caption))
     for motor in status.motors:
         table.add_row(
@@ -206,6 +208,10 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
             "-" if motor.age_s is None else f"{motor.age_s * 1e3:.0f} ms",
         )
     return table
+
+
+def _fact(fact: float | str | bool) -> str:
+    return f"{fact:.3g}" if isinstance(fact, float) else str(fact)
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -52,10 +52,11 @@ class Motion:
     """What the joints are told. Nobody changes it; no named tuple, see `Setpoint`.
 
     `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name; `chassis`: what only this chassis
-    knows of itself; `events`: what it has to say in this cycle.
+    knows of itself; `events`: what it has to say in this cycle; `turned`: rad,
+    counter-clockwise, from the setpoint's direction to that of a manoeuvre that is driven instead.
     """
 
-    __slots__ = ("chassis", "commands", "events", "limits", "share")
+    __slots__ = ("chassis", "commands", "events", "limits", "share", "turned")
 
     def __init__(
         self,
@@ -64,16 +65,22 @@ class Motion:
         limits: tuple[str, ...] = (),
         chassis: ChassisState = NO_STATE,
         events: tuple[Event, ...] = (),
+        *,
+        turned: float = 0.0,
     ) -> None:
         self.commands = commands
         self.share = share
         self.limits = limits
         self.chassis = chassis
         self.events = events
+        self.turned = turned
 
     def limited_by(self, limits: tuple[str, ...]) -> "Motion":
         """The same, with these limits at work before its own."""
-        return Motion(self.commands, self.share, (*limits, *self.limits), self.chassis, self.events) if limits else self
+        if not limits:
+            return self
+        together = (*limits, *self.limits)
+        return Motion(self.commands, self.share, together, self.chassis, self.events, turned=self.turned)
 
 
 class Features(NamedTuple):
@@ -81,6 +88,7 @@ class Features(NamedTuple):
 
     width: bool = False  # the wheels can go apart
     regions: frozenset[Region] = frozenset({Region.ANY})
+    more_regions: str = ""  # what the robot file has to say for others, where anything helps
 
     def objection(self, command: TwistCommand) -> str | None:
         """Why this command is none for this chassis; None: it is one."""
@@ -88,7 +96,7 @@ class Features(NamedTuple):
             return f"width_rate = {command.width_rate:g}: must be left out: the width of this chassis is fixed"
         if command.region not in self.regions:
             known = " or ".join(repr(region.value) for region in Region if region in self.regions)
-            return f"region = {command.region.value!r}: must be {known} on this chassis"
+            return f"region = {command.region.value!r}: must be {known} on this chassis{self.more_regions}"
         return None
 
 
@@ -110,6 +118,14 @@ class DriveLaw(Protocol):
 
     def set(self, name: str, value: float) -> str | None:
         """Take a new value of one of these, within its range and without a step; why not, if not."""
+        ...
+
+    def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
+        """What of a target may be driven towards now: all of it, less, or nothing yet.
+
+        Of a law with more than one region asked before the limits of the body, in each cycle that drives, and before
+        `motion`. `region`: the way round that the command asks for; `whole`: every motor is well.
+        """
         ...
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
@@ -170,10 +186,18 @@ class SpeedLaw:
         """There is nothing to set."""
         return f"{name}: this chassis has no such setting"
 
+    def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
+        """All of it."""
+        return target
+
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
+        return self.motion_at(setpoint, self.angles_ahead(measured), braking=braking)
+
+    def motion_at(self, setpoint: Rates, angles: Sequence[float | None], *, braking: bool) -> Motion:
+        """The same with the steered joints at these angles, rad."""
         self._blind = self._blind and braking
-        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, self.angles_ahead(measured))
+        speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, angles)
         if speeds is None:
             self._blind = braking
             return Motion(_velocities(self._in_proportion(setpoint)))

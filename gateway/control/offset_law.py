@@ -5,6 +5,9 @@ How this works
 setpoint of the body -> turned by the compensation -> slowed for the flip that comes, where nothing corrects it ->
 speeds of the joints (`SpeedLaw`) -> shortened to what the motors can change in a cycle. The setpoint stays what the
 limits made it; what is driven of it goes back as `share`.
+Where a command asks for a way round (`gateway.control.region_policy`), a manoeuvre may have to come first: the setpoint
+then only says how fast, and the velocity is turned all the way into the piece of the manoeuvre that is driven. That is
+straight along or across the chassis, so it needs no joint angle: it is the motion of a platform that stands at zero.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,11 +15,14 @@ from math import isinf, sqrt
 from typing import Final, NamedTuple
 
 from drivers.setpoint import CommandKind
+from gateway.arithmetic import angle_of, sin_cos
 from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled, wrapped
+from gateway.control.region_policy import RegionPolicy, Seen, still
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
 from gateway.types import ChassisState, Event, Level, Rates
+from gateway.types import Region as WayRound
 
 GAIN: Final = "compensation_gain"
 REGION: Final = "compensation_region"
@@ -25,6 +31,9 @@ FACTS: Final = ("region", "saturated", "turn_radius", "flip_wheel_speed", "flip_
 LOST: Final = "pull_lost"  # the event
 _TURNED_BACK: Final = 2.5  # rad from one cycle to the next: the motion was reversed, which is somebody's will
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
+_IN_LINE: Final = (0.0, 0.0, 0.0)  # angles, of a platform that looks along its chassis
+_LEFT, _RIGHT = 0, 1
+_ANY: Final = WayRound.ANY
 
 
 class Geometry(NamedTuple):
@@ -37,7 +46,7 @@ class Geometry(NamedTuple):
 
 
 class OffsetDifferentialLaw:
-    """State owner: correction and the error it holds, path rate, last speeds told."""
+    """State owner: correction and the error it holds, path rate, last speeds told, last velocity driven, policy."""
 
     def __init__(
         self,
@@ -46,11 +55,12 @@ class OffsetDifferentialLaw:
         geometry: Geometry,
         compensation: Compensation | None,
         flip: FlipLimit | None,
+        policy: RegionPolicy | None,
         accelerations: Sequence[float] | None,
         period: float,
         longest_period: Callable[[float], float],
     ) -> None:
-        """`accelerations`: rad/s^2 of each motor, None: no limit of their own.
+        """`policy`: None: no command may ask for a region. `accelerations`: rad/s^2 of each motor, None: no limit.
 
         `period`: s, of the loop; `longest_period`: s, with which a gain works at top speed.
         """
@@ -58,6 +68,8 @@ class OffsetDifferentialLaw:
         self._geometry = geometry
         self._compensation = compensation
         self._flip = flip
+        self._policy = policy
+        self._features = _features(speeds.features, policy, compensation)
         self._accelerations = None if accelerations is None else tuple(accelerations)
         self._period = period
         self._longest_period = longest_period
@@ -65,11 +77,12 @@ class OffsetDifferentialLaw:
         self._path_rate = PathRate()
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
         self._held: float | None = None  # rad, the error that is being corrected; None: none is
+        self._driven = (0.0, 0.0)  # m/s, of the setpoint, as far as it was driven
 
     @property
     def features(self) -> Features:
-        """Twists and nothing else."""
-        return self._speeds.features
+        """Twists, and regions where the robot file lets the robot get there."""
+        return self._features
 
     @property
     def settings(self) -> Mapping[str, float]:
@@ -98,8 +111,31 @@ class OffsetDifferentialLaw:
             return f"gain {gain:g}: the loop is too slow for it at top speed"
         return None
 
+    def aim(
+        self, target: Rates, measured: Measured, *, region: WayRound, path_rate: float | None, whole: bool
+    ) -> Rates:
+        """All of it, or what the way round that is asked for lets it be."""
+        if self._policy is None or (region is _ANY and self._policy.idle):
+            return target
+        return self._policy.aim(target, self._seen(measured, whole=whole), region=region, path_rate=path_rate)
+
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
+        policy = self._policy
+        if policy is None:
+            return self._motion(setpoint, measured, braking=braking, path_rate=path_rate)
+        if braking and not policy.idle:
+            policy.brake()
+        if not policy.idle and policy.at_work:
+            motion = self._manoeuvre(policy, setpoint, measured, braking=braking)
+        else:
+            motion = self._motion(setpoint, measured, braking=braking, path_rate=path_rate)
+        self._driven = (setpoint[0] * motion.share, setpoint[1] * motion.share)
+        limits = motion.limits if policy.idle else (*policy.limits, *motion.limits)
+        told, events = policy.told(motion.chassis), (*motion.events, *policy.news())
+        return Motion(motion.commands, motion.share, limits, told, events, turned=motion.turned)
+
+    def _motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None) -> Motion:
         vx, vy, wz = setpoint
         estimated = self._path_rate.of(vx, vy, wz, measured.dt)
         rate = estimated if path_rate is None else path_rate
@@ -117,7 +153,10 @@ class OffsetDifferentialLaw:
         """Every joint braked."""
         if self._compensation is not None:
             self._compensation.release()
+        if self._policy is not None:
+            self._policy.stop()
         self._told = self._held = None
+        self._driven = (0.0, 0.0)
         return self._speeds.stop(measured)
 
     def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
@@ -131,6 +170,40 @@ class OffsetDifferentialLaw:
     def forget_told(self) -> None:
         """No wheel is asked to go on from there."""
         self._told = None
+
+    def _manoeuvre(self, policy: RegionPolicy, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
+        """The piece at work, as fast as the setpoint and no faster."""
+        self._held = None
+        vx, vy, _ = setpoint
+        speed = sqrt(vx * vx + vy * vy)
+        at_rest = speed == 0.0 and not any(self._told or ())
+        along, across = policy.direction
+        share = policy.share(speed, self._seen(measured, whole=True), at_rest=at_rest)
+        wanted = (along * share * speed, across * share * speed, 0.0)
+        motion = self._paced(self._speeds.motion_at(wanted, _IN_LINE, braking=braking), measured.dt)
+        turned, angle = 0.0, self._speeds.angles_ahead(measured)[self._geometry.joint]
+        if angle is not None and speed > 0.0:
+            s, c = sin_cos(angle)
+            x, y = c * along + s * across, c * across - s * along
+            turned = angle_of(vx * y - vy * x, vx * x + vy * y)
+        return Motion(motion.commands, share * motion.share, motion.limits, self._state(None, 0.0), turned=turned)
+
+    def _seen(self, measured: Measured, *, whole: bool) -> Seen:
+        """For the policy of regions."""
+        left, right = measured.positions[_LEFT], measured.positions[_RIGHT]
+        one, corrected = self._compensation, (0.0, 0.0)
+        if one is not None and one.gain > _CORRECTED:
+            vx, vy = self._driven
+            corrected = region_at(one.regions, sqrt(vx * vx + vy * vy)), min(point.region for point in one.regions)
+        return Seen(
+            measured.dt,
+            self._speeds.angles_ahead(measured)[self._geometry.joint],
+            None if left is None or right is None else 0.5 * self._geometry.wheel_radius * (left + right),
+            self._driven,
+            still(self._told, measured.estimate and measured.estimate.rates),
+            corrected,
+            whole,
+        )
 
     def _corrected(
         self, vx: float, vy: float, angle: float | None, rate: float, dt: float
@@ -201,6 +274,16 @@ class OffsetDifferentialLaw:
             return None, None
         _, radius, offset, track = self._geometry
         return flip_speeds(speed, wheel_radius=radius, axle_offset=offset, track=track)
+
+
+def _features(own: Features, policy: RegionPolicy | None, compensation: Compensation | None) -> Features:
+    """With the regions that a manoeuvre leads to; what is not corrected does not stay pulled."""
+    if policy is None:
+        return own._replace(more_regions=": [robot.manoeuvre] in the robot file allows others")
+    if compensation is None:
+        regions = frozenset({WayRound.ANY, WayRound.PUSH})
+        return own._replace(regions=regions, more_regions=": [robot.compensation] in the robot file allows 'pull'")
+    return own._replace(regions=frozenset(WayRound))
 
 
 def _finite(number: float | None) -> float | None:

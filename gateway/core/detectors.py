@@ -206,7 +206,7 @@ class RunawayDetector:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._before: tuple[float, float] | None = None  # speed and error of the last new sample
-        self._begun = 0.0  # error when it began to grow
+        self._begun = self._begun_speed = 0.0  # error and speed when they began to grow
         self._time = 0.0
         self._samples = 0
 
@@ -222,11 +222,13 @@ class RunawayDetector:
         beyond = error * speed > 0.0
         if before is None or not beyond or abs(error) <= abs(before[1]) or abs(speed) <= abs(before[0]):
             self._begun, self._time, self._samples = abs(error), 0.0, 0
+            self._begun_speed = abs(speed)
             return None
         self._samples += 1
         if self._samples < RUNAWAY_SAMPLES:
             return None
-        growth, top = abs(error) - self._begun, self._limits.speed
+        # Of both: an error that grows because the setpoint goes away, as into an emergency stop, is not the motor's.
+        growth, top = min(abs(speed) - self._begun_speed, abs(error) - self._begun), self._limits.speed
         if self._time < RUNAWAY_TIME or growth < max(RUNAWAY_GROWTH, RUNAWAY_RATE * self._time) * top:
             return None
         return f"runs away: {speed:.2f} rad/s and rising where {x.setpoint:.2f} rad/s is commanded"

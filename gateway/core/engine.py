@@ -47,12 +47,14 @@ from gateway.types import (
     Mode,
     Outputs,
     Rates,
+    Region,
     Reply,
     Request,
     RequestKind,
     Status,
     Trace,
     Twist,
+    TwistCommand,
     TwistFrame,
 )
 
@@ -60,6 +62,7 @@ _measured: Final = maker(Measured)
 _trace: Final = maker(Trace)
 _outputs: Final = maker(Outputs)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
+_ANY: Final = Region.ANY
 _IDLE: Final = Mode.IDLE
 _STARTING: Final = Mode.STARTING
 _FAULT: Final = Mode.FAULT
@@ -97,6 +100,7 @@ class Engine:
         top_speeds = tuple(limits.speed for limits in robot.limits)
         self._kinematics = robot.kinematics
         self._law = robot.law
+        self._selects = len(robot.law.features.regions) > 1  # commands may ask for a way round
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source, robot.law.features)
         axes = robot.kinematics.axes
@@ -119,6 +123,7 @@ class Engine:
         self._reporter = Reporter(config)
         self._period = 1.0 / config.loop.rate
         self._stop_category = config.stop.category
+        self._turned = 0.0  # rad, by which the law turned the setpoint of the last cycle into a manoeuvre
         self._last_ns: int | None = None
         self._answered_ns: int | None = None  # the first cycle, and the last in which a silent motor was heard at rest
         self._mode = _IDLE
@@ -158,8 +163,7 @@ class Engine:
         self._decide(inputs, health, selection, granted=granted)
         target = self._target(selection)
         more = self._target_of_more(selection) if self._more else ()
-        path_rate = selection.command.path_rate if selection.command is not None else None
-        motion = self._limit((*target, *more) if more else target, measured, health, path_rate=path_rate)
+        motion = self._limit((*target, *more) if more else target, measured, health, selection.command)
         frames = self._command(motion, measured, health)
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is _IDLE else selection.command
@@ -177,7 +181,7 @@ class Engine:
         if motion.events:
             events = (*events, *self._reporter.of_law(motion.events, now_ns))
         status = None
-        if self._reporter.status_due(now_ns) or events:
+        if self._reporter.status_due(now_ns) or events or motion.events:
             status = self._status(inputs, health, selection, reason=reason, motion=motion, measured=measured)
         trace = _trace(
             (
@@ -480,17 +484,22 @@ class Engine:
         """What of it the motors left can drive."""
         return target if self._ability is None else self._ability.target(target, self._velocity)
 
-    def _limit(self, target: Rates, measured: Measured, health: Health, *, path_rate: float | None) -> Motion:
+    def _limit(self, target: Rates, measured: Measured, health: Health, asked: TwistCommand | None) -> Motion:
         """The setpoint within every limit, and what the joints are told for it; the limits at work by name."""
         limits: tuple[str, ...] = ("slip",) if measured.slipping else ()
         if self._mode is _DEGRADED and self._ability is not None and self._ability.reach is not None:
             limits = (*limits, "limp")
         braking = self._mode in BRAKING
+        path_rate, region = (None, _ANY) if asked is None else (asked.path_rate, asked.region)
         if self._mode in DRIVING:
             target, overridden = self._overridden(target)
             headroom = self._motors.headroom(measured)
             effort = self._ability.effort if self._ability is not None else 1.0
-            _, active = self._limiter.step(self._reached(target), measured.dt, effort=effort, headroom=headroom)
+            aim = self._reached(target)
+            if self._selects:
+                whole = self._mode is not _DEGRADED
+                aim = self._law.aim(aim, measured, region=region, path_rate=path_rate, whole=whole)
+            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
             self._brake(measured, health)
@@ -499,6 +508,7 @@ class Engine:
         if self._mode is _ESTOP:
             return self._law.stop(measured).limited_by(limits)
         motion = self._law.motion(self._limiter.rates, measured, braking=braking, path_rate=path_rate)
+        self._turned = motion.turned
         if motion.share < 1.0:
             self._limiter.scale(motion.share)
         return motion.limited_by(limits)
@@ -519,7 +529,7 @@ class Engine:
         else:
             self._unheard = True
         if measured.estimate is not None:
-            self._fall_back(measured.estimate.rates, measured.dt)
+            self._fall_back(_turned_back(measured.estimate.rates, self._turned), measured.dt)
 
     def _take_up(self, measured: Measured, health: Health) -> None:
         """Motors that follow again go on from how they turn now: what they were told before they may have lost."""
@@ -624,6 +634,14 @@ class Engine:
 def _appeared(before: Sequence[MotorFeedback], now: Sequence[MotorFeedback]) -> bool:
     """Whether a motor that was silent is heard."""
     return any([a.state is _SILENT and b.state is not _SILENT for a, b in zip(before, now)])
+
+
+def _turned_back(rates: Rates, turned: float) -> Rates:
+    """A measured motion as if the law had not turned the setpoint into it."""
+    if turned == 0.0:
+        return rates
+    s, c = sin_cos(turned)
+    return (c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], *rates[2:])
 
 
 def _seconds(nanoseconds: int | None) -> float | None:

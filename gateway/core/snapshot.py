@@ -40,6 +40,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
             "_period",
             "_robot_file",
             "_robot_name",
+            "_selects",
             "_stop_category",
             "_velocity",
         }
@@ -69,8 +70,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
-        {"_accelerations", "_flip", "_geometry", "_longest_period", "_period"}
+        {"_accelerations", "_features", "_flip", "_geometry", "_longest_period", "_period"}
     ),
+    "gateway.control.region_policy.RegionPolicy": frozenset({"_axle_offset", "_form", "_limits", "_max_footprint"}),
     "gateway.control.compensation.Compensation": frozenset({"_authority", "_axle_offset"}),
     "gateway.control.compensation.PathRate": frozenset(),
     "gateway.control.drive_law.SpeedLaw": frozenset(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from gateway.config import Source
-from gateway.types import Twist, TwistCommand, TwistFrame
+from gateway.types import Region, Twist, TwistCommand, TwistFrame
 
 SENDER = "scenario"  # of every source, unless told
 _SECOND_NS = 1_000_000_000
@@ -19,6 +19,7 @@ class Stream:
     due_ns: int
     stamped: bool
     sender: str
+    region: Region = Region.ANY
 
 
 class Commanders:
@@ -30,10 +31,20 @@ class Commanders:
         self._newest: dict[str, TwistCommand] = {}
         self._frozen_since_ns: int | None = None
 
-    def stream(self, source: str, twist: Twist, *, rate: float, stamped: bool, sender: str, now_ns: int) -> None:
+    def stream(
+        self,
+        source: str,
+        twist: Twist,
+        *,
+        rate: float,
+        stamped: bool,
+        sender: str,
+        now_ns: int,
+        region: Region = Region.ANY,
+    ) -> None:
         """From now on this sender sends this twist as this source."""
         self.send(now_ns)
-        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped, sender)
+        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped, sender, region)
 
     def silence(self, source: str, now_ns: int) -> None:
         """This source sends nothing any more."""
@@ -53,6 +64,7 @@ class Commanders:
                     stream.due_ns,
                     stream.sender,
                     stream.stamped,
+                    region=stream.region,
                 )
                 stream.due_ns += stream.period_ns
 

@@ -172,6 +172,7 @@ class _Drive:
             stamped=command.stamped,
             sender=command.sender,
             now_ns=now_ns,
+            region=command.region,
         )
 
     def _request(self, kind: RequestKind, angle: float | None, now_ns: int) -> None:

@@ -11,7 +11,7 @@ from gateway.config import ConfigError, RobotConfig, parse_as, read
 from gateway.core.settings import problems
 from gateway.edges.messages import MAX_SPEED, MAX_TURN
 from gateway.sections import Name
-from gateway.types import Mode
+from gateway.types import Mode, Region
 from replay.drive.commanders import SENDER
 from replay.drive.faults import RULES, FaultKind, Target, wheels
 from replay.sim.plants.contract import PlantName, WithCaster
@@ -34,7 +34,7 @@ class _Section(BaseModel):
 class Command(_Section):
     """A twist that a source streams until it is told something else; `stamped`: with the time of sending.
 
-    `sender`: which process sends as this source.
+    `sender`: which process sends as this source; `region`: the way round that it asks for.
     """
 
     source: Name
@@ -44,6 +44,7 @@ class Command(_Section):
     rate: Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")] = 50.0
     stamped: bool = False
     sender: Name = SENDER
+    region: Region = Region.ANY
 
 
 class Fault(_Section):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.contract import DriverFault, MotorState
 from drivers.setpoint import CommandKind
 from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
-from gateway.types import ZERO_TWIST, Mode, Rates, RequestKind, Twist
+from gateway.types import ZERO_TWIST, Mode, Rates, Region, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
 pytestmark = pytest.mark.pure_python  # a law of the test in place of that which the engine builds
@@ -36,6 +36,9 @@ class Balance:
 
     def set(self, name: str, value: float) -> str | None:
         return name
+
+    def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
+        return target
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)

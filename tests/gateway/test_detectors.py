@@ -234,6 +234,14 @@ def test_an_impact_or_a_lag_is_no_runaway() -> None:
         assert trips(RunawayDetector(LIMITS), samples) is None
 
 
+def test_a_setpoint_that_goes_away_is_no_runaway() -> None:
+    """It gets faster with its setpoint, a little ahead of it, when an emergency stop takes that away."""
+    ahead = speeds(cycles=30, setpoint=(4.0, 0.02), speed=(4.1, 0.021))
+    stopped = [sample(setpoint=0.0, speed=4.1 + 0.021 * (30 + cycle)) for cycle in range(4)]
+    assert trips(RunawayDetector(LIMITS), [*ahead, *stopped, *growing(0.0)]) is None
+    assert trips(RunawayDetector(LIMITS), [*ahead, *speeds(cycles=30, setpoint=(0.0, 0.0), speed=(5.0, 0.1))]) == 58
+
+
 def mirrored(samples: Iterable[Sample]) -> list[Sample]:
     return [but(x, setpoint=-(x.setpoint or 0.0), speed=-(x.speed or 0.0)) for x in samples]
 

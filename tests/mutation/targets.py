@@ -35,6 +35,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "gateway/edges/source_gate.py": _core("source_gate"),
     "gateway/control/limits.py": _core("limits"),
     "gateway/control/drive_law.py": _core("drive_law"),
+    "gateway/control/manoeuvre.py": (f"{_GATEWAY}manoeuvre.py", f"{_GATEWAY}region_policy.py"),
+    "gateway/control/region_policy.py": (f"{_GATEWAY}region_policy.py", f"{_GATEWAY}region_drives.py"),
     "gateway/kinematics/reach.py": (f"{_GATEWAY}reach.py", f"{_GATEWAY}kinematics.py"),
     "drivers/dji.py": _DJI,
     "drivers/odrive/group.py": _ODRIVE,
