@@ -173,7 +173,13 @@ STILL = sample(torque=0.0)
         ([STILL], STILL._replace(torque=-3.0), 39),
         ([STILL], STILL._replace(torque=2.9), None),
         ([STILL], STILL._replace(torque=None), None),
-        ([STILL], STILL._replace(torque=3.0, setpoint=0.19), None),
+        ([STILL], STILL._replace(torque=3.0, setpoint=0.19), 77),  # 0.3 s: it is to stand, and its torque winds up
+        ([STILL], STILL._replace(torque=-0.2, setpoint=0.0), 77),
+        ([STILL], STILL._replace(torque=0.19, setpoint=0.0), None),
+        ([STILL], STILL._replace(torque=3.0, setpoint=0.0, driving=False), None),
+        ([STILL], STILL._replace(torque=3.0, setpoint=0.0, fresh=False), None),
+        ([STILL._replace(torque=2.0)], STILL._replace(torque=2.1, setpoint=0.0), None),  # it holds a slope
+        ([STILL._replace(torque=None)], STILL._replace(torque=3.0, setpoint=0.0), None),
         ([STILL], STILL._replace(expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
         ([STILL] * 3, STILL._replace(expected=lambda: -1.0, dt=0.04), 1),
         ([STILL], STILL._replace(expected=lambda: 0.99), None),
