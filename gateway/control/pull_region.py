@@ -13,6 +13,7 @@ from enum import Enum
 from math import pi, sqrt
 from typing import Final, NamedTuple
 
+from drivers.records import maker
 from gateway.arithmetic import angle_of, arcsine, logarithm, sin_cos
 
 LEAST_SPEED: Final = 1e-3  # m/s; a slower motion has no direction to speak of (science 1.3)
@@ -27,6 +28,11 @@ class Region(Enum):
     PUSH = "push"
     NEUTRAL = "neutral"
     PULL = "pull"
+
+
+# Members of an enumeration, each looked up once: where every cycle does, it takes a tenth of its time.
+_PUSH: Final = Region.PUSH
+_PULL: Final = Region.PULL
 
 
 class Pull(NamedTuple):
@@ -44,6 +50,9 @@ class Pull(NamedTuple):
     turn_radius: float | None  # m, of the path; None: it goes straight on
     flip_way: float | None
     flip_time: float | None
+
+
+_pull: Final = maker(Pull)
 
 
 class FlipSpeeds(NamedTuple):
@@ -84,16 +93,9 @@ def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset
     goal, saturated = goal_of(path_rate, speed, axle_offset)
     error = wrapped(gamma - goal)
     way = _flip_way(gamma, error, axle_offset * path_rate / speed, axle_offset)
-    return Pull(
-        gamma=gamma,
-        region=_region(along / speed),
-        goal=goal,
-        saturated=saturated,
-        error=error,
-        turn_radius=speed / abs(path_rate) if path_rate != 0.0 else None,
-        flip_way=way,
-        flip_time=None if way is None else way / speed,
-    )
+    radius = speed / abs(path_rate) if path_rate != 0.0 else None
+    flip_time = None if way is None else way / speed
+    return _pull((gamma, _region(along / speed), goal, saturated, error, radius, way, flip_time))
 
 
 def settled(before: Region | None, pull: Pull | None) -> Region | None:
@@ -103,10 +105,10 @@ def settled(before: Region | None, pull: Pull | None) -> Region | None:
     """
     if pull is None:
         return None
-    _, along = sin_cos(pull.gamma)
-    if before is None or pull.region is before or abs(along) > _BEYOND_NEUTRAL:
+    if before is None or pull.region is before:
         return pull.region
-    return before
+    _, along = sin_cos(pull.gamma)
+    return pull.region if abs(along) > _BEYOND_NEUTRAL else before
 
 
 def flip_speeds(speed: float, *, wheel_radius: float, axle_offset: float, track: float) -> FlipSpeeds:
@@ -118,7 +120,7 @@ def flip_speeds(speed: float, *, wheel_radius: float, axle_offset: float, track:
 def _region(cosine: float) -> Region:
     if abs(cosine) <= _NEUTRAL:
         return Region.NEUTRAL
-    return Region.PUSH if cosine > 0.0 else Region.PULL
+    return _PUSH if cosine > 0.0 else _PULL
 
 
 def _flip_way(gamma: float, error: float, tightness: float, axle_offset: float) -> float | None:

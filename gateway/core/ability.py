@@ -72,7 +72,7 @@ class Abilities:
             if reach.complete:
                 return Ability(None, reach.effort, 1.0)
         angles = self._angles(health, measured)
-        if angles is None or measured.estimate is None or not self._may_limp(lost, health, measured):
+        if angles is None or not self._sees_its_motion(health, measured) or not self._may_limp(lost, health, measured):
             return None
         return self._limping(usable, angles)
 
@@ -104,6 +104,13 @@ class Abilities:
             if measured.angles[index] is None or not health.brakable[index]:
                 return None
         return [0.0 if angle is None else angle for angle in measured.angles]
+
+    def _sees_its_motion(self, health: Health, measured: Measured) -> bool:
+        """Whether the wheels tell it without those that are known to tell something wrong."""
+        if all(health.brakable):
+            return measured.estimate is not None
+        speeds = [speed if ok else None for speed, ok in zip(measured.speeds, health.brakable, strict=True)]
+        return self._kinematics.twist(speeds, measured.angles) is not None
 
     def _may_limp(self, lost: Sequence[int], health: Health, measured: Measured) -> bool:
         """Whether the robot file lets it, for everything that was lost: a motor alone, or what tells how it turns."""

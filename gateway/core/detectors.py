@@ -34,6 +34,8 @@ FREEZE_TIME: Final = 0.012  # s
 FREEZE_SAMPLES: Final = 3
 FREEZE_STRAIN: Final = 0.3  # of the torque limit, which no wheel bears without the slightest motion ...
 FREEZE_STRAIN_TIME: Final = 0.15  # ... for so long, s
+FREEZE_DRIFT: Final = 0.02  # of the torque limit, by which none that is to stand changes its torque without motion ...
+FREEZE_DRIFT_TIME: Final = 0.3  # ... for so long, s
 FREEZE_EXPECTED: Final = 0.05  # of top speed, by which the other wheels say that it turns ...
 FREEZE_EXPECTED_TIME: Final = 0.04  # ... for so long, s
 
@@ -157,10 +159,11 @@ class FrozenEncoderDetector:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._position: float | None = None
+        self._torque: float | None = None  # N m when the position last changed
         self._speeds = (0.0, 0.0)  # rad/s at the last two changes of position: the very last may be frozen already
         self._samples = 0
         self._time = 0.0
-        self._strained = self._contradicted = 0.0
+        self._strained = self._drifted = self._contradicted = 0.0
 
     def look(self, x: Sample) -> str | None:
         if x.position is None or x.speed is None or x.setpoint is None:
@@ -171,8 +174,9 @@ class FrozenEncoderDetector:
             return None
         if x.position != self._position:
             self._position, self._speeds = x.position, (self._speeds[1], x.speed)
+            self._torque = x.torque
             self._samples = 0
-            self._time = self._strained = self._contradicted = 0.0
+            self._time = self._strained = self._drifted = self._contradicted = 0.0
             return None
         self._samples += 1
         return self._judge(x)
@@ -183,10 +187,9 @@ class FrozenEncoderDetector:
         if fast and self._samples >= FREEZE_SAMPLES and self._time >= FREEZE_TIME:
             return f"stopped dead from {moved:.2f} rad/s: its encoder is frozen, or the robot hit something"
         asked = abs(x.setpoint or 0.0) >= LEAST_SETPOINT * top
-        strains = asked and x.torque is not None and abs(x.torque) >= FREEZE_STRAIN * self._limits.torque
-        self._strained = self._strained + x.dt if strains else 0.0
-        if self._strained >= FREEZE_STRAIN_TIME:
-            return f"encoder frozen: not the slightest motion under {x.torque:.1f} N m"
+        text = self._rigid(x, asked=asked)
+        if text is not None:
+            return text
         if not asked or self._samples < FREEZE_SAMPLES:
             self._contradicted = 0.0
             return None
@@ -198,6 +201,24 @@ class FrozenEncoderDetector:
         if self._contradicted < FREEZE_EXPECTED_TIME:
             return None
         return f"encoder frozen: by the other wheels it turns at {expected:.2f} rad/s"
+
+    def _rigid(self, x: Sample, *, asked: bool) -> str | None:
+        """Whether it does not move at all under its torque, or while a joint that is to stand winds its torque up."""
+        if x.torque is None:
+            self._strained = self._drifted = 0.0
+            return None
+        strains = asked and abs(x.torque) >= FREEZE_STRAIN * self._limits.torque
+        self._strained = self._strained + x.dt if strains else 0.0
+        if self._strained >= FREEZE_STRAIN_TIME:
+            return f"encoder frozen: not the slightest motion under {x.torque:.1f} N m"
+        known = x.driving and not asked and self._torque is not None
+        drifts = known and abs(x.torque - (self._torque or 0.0)) >= FREEZE_DRIFT * self._limits.torque
+        self._drifted = self._drifted + x.dt if drifts else 0.0
+        if self._drifted >= FREEZE_DRIFT_TIME:
+            return (
+                f"no motion while its torque went to {x.torque:.1f} N m: its encoder is frozen, or that does not arrive"
+            )
+        return None
 
 
 class RunawayDetector:

@@ -241,9 +241,11 @@ def test_nothing_limps_by_a_joint_angle_that_is_not_known(fault: str) -> None:
     assert moments[-1].truth.twist[:2] == pytest.approx((0.0, 0.0), abs=0.02)
 
 
-def test_nothing_limps_that_does_not_see_how_it_moves() -> None:
-    """moby without a word from one wheel: its motion is not determined, so it comes to rest."""
+@pytest.mark.parametrize("fault", ["cable_out", "encoder_frozen"])
+def test_nothing_limps_that_does_not_see_how_it_moves(fault: str) -> None:
+    """moby without a word from one wheel, or with the same word for ever: its motion is not determined, so it rests."""
     config = parse(robot_text("moby").replace("[limits]", BOTH, 1), "moby")
-    moments = driven(config, command(1.0, 0.4, 0.0, 0.2), lost(2.0, "left", "cable_out"), seconds=8.0)
+    moments = driven(config, command(1.0, 0.4, 0.0, 0.2), lost(2.0, "left", fault), seconds=8.0)
     assert Mode.DEGRADED not in modes(moments)
     assert Mode.FAULT in modes(moments)
+    assert moments[-1].truth.twist == pytest.approx((0.0, 0.0, 0.0), abs=0.03)

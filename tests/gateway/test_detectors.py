@@ -180,7 +180,13 @@ STILL = sample(torque=0.0)
         ([STILL], but(STILL, torque=-3.0), 39),
         ([STILL], but(STILL, torque=2.9), None),
         ([STILL], but(STILL, torque=None), None),
-        ([STILL], but(STILL, torque=3.0, setpoint=0.19), None),
+        ([STILL], but(STILL, torque=3.0, setpoint=0.19), 77),  # 0.3 s: it is to stand, and its torque winds up
+        ([STILL], but(STILL, torque=-0.2, setpoint=0.0), 77),
+        ([STILL], but(STILL, torque=0.19, setpoint=0.0), None),
+        ([STILL], but(STILL, torque=3.0, setpoint=0.0, driving=False), None),
+        ([STILL], but(STILL, torque=3.0, setpoint=0.0, fresh=False), None),
+        ([but(STILL, torque=2.0)], but(STILL, torque=2.1, setpoint=0.0), None),  # it holds a slope
+        ([but(STILL, torque=None)], but(STILL, torque=3.0, setpoint=0.0), None),
         ([STILL], but(STILL, expected=lambda: -1.0), 13),  # 0.04 s, from the third of the same position on
         ([STILL] * 3, but(STILL, expected=lambda: -1.0, dt=0.04), 1),
         ([STILL], but(STILL, expected=lambda: 0.99), None),
