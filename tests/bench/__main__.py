@@ -1,7 +1,7 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, pull, verify, sessions, live, recorder, plant, laws). Peers are measured side by side with
-what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with two
+NAME: only these parts (cycle, pull, verify, sessions, live, recorder, plant, laws). Peers are measured side by side
+with what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with two
 numbers are for the compiled core and for pure Python: the first line says which it is.
 """
 
