@@ -213,6 +213,16 @@ def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused() -> Non
     assert plant_of(robot, PlantName.SIMPLE).twist == plant_of(robot).twist
 
 
+@pytest.mark.parametrize("trail", [0.5, 0.8, 10.0])
+def test_a_robot_that_could_not_stand_on_its_caster_is_refused(trail: float) -> None:
+    """Offset and position are 0.25 m each: trailing by 0.5 m the caster stands on the axle's line."""
+    robot = moby()
+    caster = robot.caster
+    assert caster is not None
+    with pytest.raises(ValueError, match=rf"robot\.caster\.trail = {trail:g}: must be below 0\.5 m"):
+        plant_of(robot.model_copy(update={"caster": caster.model_copy(update={"trail": trail})}), PlantName.DYNAMICS)
+
+
 # -- the ground -------------------------------------------------------------------------------------------------------
 
 

@@ -43,11 +43,17 @@ def plant(robot: OffsetDifferentialRobot) -> "OffsetCaster":
 def parameters(robot: OffsetDifferentialRobot) -> OffsetParameters:
     """Lengths, total mass, inertias and friction of the file; the masses share the total as those of set B do.
 
-    Raises ValueError for a robot file without a caster.
+    Raises ValueError for a robot file without a caster, or with one on which the robot could not stand.
     """
     if robot.caster is None:
         raise ValueError("robot.caster is missing: trail, position and radius of the caster, m")
     preset, body, caster = SETS["B"], robot.body, robot.caster
+    reach = robot.axle_offset + caster.position
+    if caster.trail >= reach:
+        raise ValueError(
+            f"robot.caster.trail = {caster.trail:g}: must be below {reach:g} m, axle_offset and caster.position: "
+            "a caster that trails as far as the axle carries nothing"
+        )
     share = body.mass / total_mass(preset)
     size = robot.wheel_radius / preset.wheel_radius
     fork, wheel = share * preset.fork_mass, share * preset.caster_mass
