@@ -275,6 +275,27 @@ def test_no_energy_is_made_on_slippery_ground(friction: float, axial: float) -> 
     assert energies[-1] <= energies[0] * (1.0 + 1e-5)
 
 
+@pytest.mark.parametrize("plant", PlantName)
+@pytest.mark.parametrize(("inertia", "drag", "viscous"), [(1e-5, 0.0, 0.18), (1e-3, 1.3, 0.18), (0.05, 50.0, 0.0)])
+def test_friction_only_slows_a_loose_wheel_however_light_it_is(
+    plant: PlantName, inertia: float, drag: float, viscous: float
+) -> None:
+    """Explicitly it would turn the wheel round in each substep, ever faster: joint_friction H/joint_inertia is 18."""
+    robot = moby()
+    update = {"joint_inertia": inertia, "joint_drag": drag, "joint_friction": viscous}
+    own = plant_of(robot.model_copy(update={"body": robot.body.model_copy(update=update)}), plant)
+    for wheel in own.wheels:
+        own.set_friction(wheel, 0.0)
+    for _ in range(5):
+        own.step((60.0, -60.0, 0.0))
+    energies = [own.energy]
+    for _ in range(500):
+        own.step(TORQUELESS)
+        energies.append(own.energy)
+    assert energies[0] > 1e-6
+    assert all(after <= before for before, after in pairwise(energies))
+
+
 def test_wheels_that_grip_move_as_wheels_that_cannot_slip() -> None:
     held, free = started(heading=0.4, swivel=-1.2), started(heading=0.4, swivel=-1.2)
     for wheel in free.wheels:
