@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final
 
-from gateway.arithmetic import arcsine
 from gateway.control.pull_region import goal_of, wrapped
 from gateway.paths.path import Path, Piece
 
@@ -40,7 +39,7 @@ def _problems(piece: Piece, axle_offset: float, *, corners: bool) -> Iterator[st
 def start_error(path: Path, chassis_heading: float, axle_offset: float) -> float:
     """How far the path's start is from the balance of the chassis, pulled, rad: gamma - gamma_goal (Eq. 22)."""
     point = path.at(0.0)
-    return wrapped(point.heading - chassis_heading - goal_of(point.curvature, 1.0, axle_offset)[0])
+    return wrapped(point.heading - chassis_heading - _balance(point.curvature, axle_offset))
 
 
 def start_problem(path: Path, chassis_heading: float, axle_offset: float) -> str | None:
@@ -70,7 +69,12 @@ def joined_on_axle(path: Path, axle_offset: float) -> Path:
     No piece may turn tighter than d1.
     """
     joined = [
-        piece._replace(corner=arcsine(before.after * axle_offset) - arcsine(piece.before * axle_offset))
+        piece._replace(corner=_balance(piece.before, axle_offset) - _balance(before.after, axle_offset))
         for before, piece in pairwise(path.pieces)
     ]
     return Path(path.start, [*path.pieces[:1], *joined], on_axle=True)
+
+
+def _balance(curvature: float, axle_offset: float) -> float:
+    """gamma_goal, rad; a turn that is tighter than d1 by its rounding alone is one of d1."""
+    return goal_of(curvature, 1.0, axle_offset)[0]

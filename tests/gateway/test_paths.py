@@ -209,3 +209,14 @@ def test_the_instant_centre_stays_on_the_axle() -> None:
     jump = math.asin(D1) - math.asin(0.2 * D1)
     assert errors["tangent"] > 0.9 * jump
     assert errors["on axle"] < 0.2 * jump
+
+
+def test_an_arc_tighter_than_d1_by_rounding_alone_is_joined_as_one_of_d1() -> None:
+    """Rule 2 lets 1e-9 pass, and beyond 1 there is no arcsine: opposite arcs turn by pi between them."""
+    radius = D1 * (1.0 - 1e-10)
+    arcs = [Piece("left", 0.1, 1.0 / radius, 1.0 / radius), Piece("right", 0.1, -1.0 / radius, -1.0 / radius)]
+    path = Path(ORIGIN, arcs, on_axle=True)
+    assert not problems(path, D1)
+    joined = joined_on_axle(path, D1)
+    assert joined.pieces[1].corner == pytest.approx(math.pi)
+    assert start_error(joined, math.pi / 2.0 - math.pi, D1) == pytest.approx(0.0)

@@ -213,6 +213,16 @@ def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused() -> Non
     assert plant_of(robot, PlantName.SIMPLE).twist == plant_of(robot).twist
 
 
+@pytest.mark.parametrize("trail", [0.5, 0.8, 10.0])
+def test_a_robot_that_could_not_stand_on_its_caster_is_refused(trail: float) -> None:
+    """Offset and position are 0.25 m each: trailing by 0.5 m the caster stands on the axle's line."""
+    robot = moby()
+    caster = robot.caster
+    assert caster is not None
+    with pytest.raises(ValueError, match=rf"robot\.caster\.trail = {trail:g}: must be below 0\.5 m"):
+        plant_of(robot.model_copy(update={"caster": caster.model_copy(update={"trail": trail})}), PlantName.DYNAMICS)
+
+
 # -- the ground -------------------------------------------------------------------------------------------------------
 
 
@@ -263,6 +273,27 @@ def test_no_energy_is_made_on_slippery_ground(friction: float, axial: float) -> 
     energies = run(plant, 2.0)
     assert all(after <= before * (1.0 + 5e-6) for before, after in pairwise(energies))
     assert energies[-1] <= energies[0] * (1.0 + 1e-5)
+
+
+@pytest.mark.parametrize("plant", PlantName)
+@pytest.mark.parametrize(("inertia", "drag", "viscous"), [(1e-5, 0.0, 0.18), (1e-3, 1.3, 0.18), (0.05, 50.0, 0.0)])
+def test_friction_only_slows_a_loose_wheel_however_light_it_is(
+    plant: PlantName, inertia: float, drag: float, viscous: float
+) -> None:
+    """Explicitly it would turn the wheel round in each substep, ever faster: joint_friction H/joint_inertia is 18."""
+    robot = moby()
+    update = {"joint_inertia": inertia, "joint_drag": drag, "joint_friction": viscous}
+    own = plant_of(robot.model_copy(update={"body": robot.body.model_copy(update=update)}), plant)
+    for wheel in own.wheels:
+        own.set_friction(wheel, 0.0)
+    for _ in range(5):
+        own.step((60.0, -60.0, 0.0))
+    energies = [own.energy]
+    for _ in range(500):
+        own.step(TORQUELESS)
+        energies.append(own.energy)
+    assert energies[0] > 1e-6
+    assert all(after <= before for before, after in pairwise(energies))
 
 
 def test_wheels_that_grip_move_as_wheels_that_cannot_slip() -> None:

@@ -43,11 +43,17 @@ def plant(robot: OffsetDifferentialRobot) -> "OffsetCaster":
 def parameters(robot: OffsetDifferentialRobot) -> OffsetParameters:
     """Lengths, total mass, inertias and friction of the file; the masses share the total as those of set B do.
 
-    Raises ValueError for a robot file without a caster.
+    Raises ValueError for a robot file without a caster, or with one on which the robot could not stand.
     """
     if robot.caster is None:
         raise ValueError("robot.caster is missing: trail, position and radius of the caster, m")
     preset, body, caster = SETS["B"], robot.body, robot.caster
+    reach = robot.axle_offset + caster.position
+    if caster.trail >= reach:
+        raise ValueError(
+            f"robot.caster.trail = {caster.trail:g}: must be below {reach:g} m, axle_offset and caster.position: "
+            "a caster that trails as far as the axle carries nothing"
+        )
     share = body.mass / total_mass(preset)
     size = robot.wheel_radius / preset.wheel_radius
     fork, wheel = share * preset.fork_mass, share * preset.caster_mass
@@ -246,9 +252,13 @@ class OffsetCaster:
         return 1.0 / self._equations.joint_rates(yielding)[joint]
 
     def _less_drag(self, torques: Sequence[float]) -> Sequence[float]:
+        """Of the joints that are held to the motion."""
         if not self._drag:
             return torques
-        return [torque - self._drag * _sign(rate) for torque, rate in zip(torques, self.rates, strict=True)]
+        return [
+            torque if joint in self._spins else torque - self._drag * rate / _softened(rate)
+            for joint, (torque, rate) in enumerate(zip(torques, self.rates, strict=True))
+        ]
 
     def _force(self, torques: Sequence[float]) -> Force:
         """Of motors and of forces at points, along the three speeds."""
@@ -326,13 +336,15 @@ class OffsetCaster:
     # wheels on slippery ground
 
     def _turn_loose_wheels(self, torques: Sequence[float], given: dict[int, float]) -> None:
-        """A wheel by itself: what its motor gives and the ground does not take."""
+        """A wheel by itself: what its motor gives and the ground does not take.
+
+        Friction is that of the mean of both speeds, so that it turns no wheel round, however light it is.
+        """
         inertia = self._parameters.wheel_axial
         for wheel, rate in self._spins.items():
-            slowing = self._parameters.friction[wheel]
+            slowing = self._parameters.friction[wheel] + self._drag / _softened(rate)
             spare = torques[wheel] - given[wheel]
-            middle = rate + _HALF * (spare - slowing * rate) / inertia
-            self._spins[wheel] = rate + STEP_S * (spare - slowing * middle) / inertia
+            self._spins[wheel] = rate + STEP_S * (spare - slowing * rate) / (inertia + _HALF * slowing)
 
     def _give_traction(self) -> None:
         """Correct the traction, and with it the speeds, wheel by wheel until nothing changes."""
@@ -399,7 +411,6 @@ def _loaded(own: OffsetParameters, mass: float | None) -> OffsetParameters:
     )
 
 
-def _sign(rate: float) -> float:
-    """Of a motion, fading towards rest; the root is exact everywhere."""
-    share = rate / _DRAG_SPEED
-    return share / sqrt(1.0 + share * share)
+def _softened(rate: float) -> float:
+    """The size of a motion, but never near zero: dry friction fades towards rest. The root is exact everywhere."""
+    return sqrt(_DRAG_SPEED * _DRAG_SPEED + rate * rate)

@@ -204,10 +204,14 @@ class RigidBody:
         return self._chassis.mass[0][0]
 
     def _less_drag(self, torques: Sequence[float]) -> Sequence[float]:
+        """Of the joints that are held to the motion."""
         drag = self._chassis.body.joint_drag
         if not drag:
             return torques
-        return [torque - drag * tanh(rate / _DRAG_SPEED) for torque, rate in zip(torques, self.rates, strict=True)]
+        return [
+            torque if joint in self._spins else torque - drag * tanh(rate / _DRAG_SPEED)
+            for joint, (torque, rate) in enumerate(zip(torques, self.rates, strict=True))
+        ]
 
     def _acceleration(self, u: Vector, drive: Sequence[float]) -> Vector:
         ga, gb, gc = self._gyroscopic(u)
@@ -249,9 +253,9 @@ class RigidBody:
         velocity = _after(before, self._acceleration(velocity, drive), STEP_S)
         spins = {}
         for joint, rate in self._spins.items():
-            spare = torques[joint] - given[joint]
-            middle = rate + half * (spare - body.joint_friction * rate) / body.joint_inertia
-            spins[joint] = rate + STEP_S * (spare - body.joint_friction * middle) / body.joint_inertia
+            # Friction of the mean of both speeds, so that it turns no wheel round, however light it is.
+            spare, slowing = torques[joint] - given[joint], body.joint_friction + body.joint_drag / _softened(rate)
+            spins[joint] = rate + STEP_S * (spare - slowing * rate) / (body.joint_inertia + half * slowing)
         velocity = self._give_traction(velocity, spins)
         a, b, c = before
         new_a, new_b, new_c = velocity
@@ -312,6 +316,11 @@ class RigidBody:
 def _after(velocity: Vector, rate: Sequence[float], seconds: float) -> Vector:
     a, b, c = velocity
     return a + seconds * rate[0], b + seconds * rate[1], c + seconds * rate[2]
+
+
+def _softened(rate: float) -> float:
+    """By what of a motion dry friction is to be divided that fades towards rest."""
+    return rate / tanh(rate / _DRAG_SPEED) if rate else _DRAG_SPEED
 
 
 def _matrices(chassis: Chassis, free: Container[int]) -> _Matrices:
