@@ -87,6 +87,7 @@ class Axis:
         "step",
         "temperature_c",
         "timeout_read",
+        "told",
         "torque",
         "twins",
         "velocity",
@@ -133,6 +134,7 @@ class Axis:
         self.entered_ns: int | None = None  # None: entered, but nothing done there yet
         self.sent_ns = 0
         self.next_release_ns = 0
+        self.told = 0  # times that this step has sent what nobody confirms
         self.configured = 0  # times the watchdog was written since the last heartbeat gap
         self.kind = CommandKind.COAST
         self.wanted: Control | None = None  # by the host, None: coast
@@ -191,6 +193,7 @@ class Axis:
             self.next_release_ns = 0
         self.step = step
         self.entered_ns = None
+        self.told = 0
         if step is Step.HEARTBEAT:
             self.version = None
             self.configured = 0

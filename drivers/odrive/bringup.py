@@ -14,6 +14,8 @@ cycle and does at most one move. The order of the steps is one line per firmware
 - A heartbeat gap or a booting controller leads back to HEARTBEAT from anywhere: nothing is remembered of the checks.
 - Asking for coast, or for another control mode, leads from the right side back to READY. Outside the right side an
   axis that does not say IDLE is told so every 100 ms. The mode is only ever changed in IDLE.
+- Mode and limits are confirmed by nobody: each is sent in three cycles, so that one lost frame leaves no motor at the
+  limits, or in the mode, that its controller has by itself.
 - The controller's own watchdog is no failure but leads back to READY: it only says that our frames did not arrive.
   Its fault lasts until the host asks for coast, so nothing is armed again by itself.
 - Failures lead to ASK_WHY -> REFUSE, and only `clear_faults` leads out: RESET -> HEARTBEAT. A check that is merely
@@ -38,6 +40,7 @@ MS: Final = 1_000_000
 RELEASE_PERIOD_NS: Final = 100 * MS
 ARM_PATIENCE_NS: Final = 1000 * MS
 CONFIGURE_ATTEMPTS: Final = 5
+UNCONFIRMED_ATTEMPTS: Final = 3
 OUTLIVE_SILENCE: Final = frozenset({Step.HEARTBEAT, Step.ASK_WHY, Step.REFUSE})
 
 _FLOAT: Final = Struct("<f")
@@ -132,8 +135,8 @@ def _never(_axis: Axis, _now_ns: int) -> bool:
     return False
 
 
-def _always(_axis: Axis, _now_ns: int) -> bool:
-    return True
+def _told_often(axis: Axis, _now_ns: int) -> bool:
+    return axis.told >= UNCONFIRMED_ATTEMPTS
 
 
 def _heard(axis: Axis, now_ns: int) -> bool:
@@ -228,11 +231,13 @@ def _clear_errors(axis: Axis) -> tuple[CanFrame, ...]:
 
 
 def _set_mode(axis: Axis) -> tuple[CanFrame, ...]:
+    axis.told += 1
     control = Control.VELOCITY if axis.control is None else axis.control
     return (axis.frame(tables.SET_CONTROLLER_MODE, control, tables.INPUT_PASSTHROUGH),)
 
 
 def _set_limits(axis: Axis) -> tuple[CanFrame, ...]:
+    axis.told += 1
     return (axis.frame(tables.SET_LIMITS, *axis.limits()),)
 
 
@@ -278,8 +283,8 @@ RULES: Final[dict[Step, Rule]] = {
     Step.VERIFY: Rule(_read_watchdog, _watchdog_on, None, 100 * MS, _watchdog_off),
     Step.READY: Rule(_nothing, _asked_and_able),
     Step.CLEAR: Rule(_clear_errors, _cleared, 100 * MS, 500 * MS, _not_cleared),
-    Step.MODE: Rule(_set_mode, _always),
-    Step.LIMITS: Rule(_set_limits, _always),
+    Step.MODE: Rule(_set_mode, _told_often, 0),
+    Step.LIMITS: Rule(_set_limits, _told_often, 0),
     Step.ARM: Rule(_arm, _armed, 300 * MS, ARM_PATIENCE_NS, _not_armed),
     Step.ACTIVE: Rule(_nothing, _never),
     Step.RESET: Rule(_clear_errors, _cleared, 100 * MS, 500 * MS, _not_cleared),

@@ -34,7 +34,7 @@ from tests.drivers.rig import MS, can_frame, can_text, odrive_setpoints
 def test_bringup_of_06_with_watchdog() -> None:
     stand, device = stand_of()
     stand.run(VELOCITY, ms=500)
-    assert story(stand) == [VERSION, *WRITES, *READS, CLEAR_06, VELOCITY_MODE, LIMITS, ARM]
+    assert story(stand) == [VERSION, *WRITES, *READS, CLEAR_06, *[VELOCITY_MODE] * 3, *[LIMITS] * 3, ARM]
     assert only(stand).state is MotorState.OPERATIONAL
     assert device.endpoints == {188: pack("<I", 1), 189: pack("<f", 0.1)}
 
@@ -42,14 +42,14 @@ def test_bringup_of_06_with_watchdog() -> None:
 def test_bringup_of_06_without_watchdog() -> None:
     stand, _ = stand_of(watchdog=False)
     stand.run(TORQUE, ms=500)
-    assert story(stand) == [VERSION, CLEAR_06, TORQUE_MODE, LIMITS, ARM]
+    assert story(stand) == [VERSION, CLEAR_06, *[TORQUE_MODE] * 3, *[LIMITS] * 3, ARM]
     assert only(stand).state is MotorState.OPERATIONAL
 
 
 def test_bringup_of_05() -> None:
     stand, _ = stand_of("0.5")
     stand.run(BRAKE, ms=500)
-    assert story(stand) == [CLEAR_05, VELOCITY_MODE, LIMITS, ARM]
+    assert story(stand) == [CLEAR_05, *[VELOCITY_MODE] * 3, *[LIMITS] * 3, ARM]
     assert only(stand).state is MotorState.OPERATIONAL
 
 
@@ -69,7 +69,7 @@ def test_coast_checks_but_neither_clears_nor_arms() -> None:
     assert {can_text(frame) for frame in frames if odrive_setpoints(frame)} == {ZERO}
     assert only(stand).state is MotorState.IDLE
     stand.run(VELOCITY, ms=500)
-    assert story(stand)[5:] == [CLEAR_06, VELOCITY_MODE, LIMITS, ARM]
+    assert story(stand)[5:] == [CLEAR_06, *[VELOCITY_MODE] * 3, *[LIMITS] * 3, ARM]
 
 
 def test_nobody_there_is_asked_nothing() -> None:
@@ -190,7 +190,16 @@ def test_a_watchdog_that_stays_off_or_different_refuses(stuck: int, text: str, *
     stand.driver.clear_faults()
     stand.run(VELOCITY, ms=1000)
     assert only(stand).state is MotorState.OPERATIONAL
-    assert story(stand)[sent:] == [CLEAR_06, VERSION, *WRITES, *READS, CLEAR_06, VELOCITY_MODE, LIMITS, ARM]
+    assert story(stand)[sent:] == [
+        CLEAR_06,
+        VERSION,
+        *WRITES,
+        *READS,
+        CLEAR_06,
+        *[VELOCITY_MODE] * 3,
+        *[LIMITS] * 3,
+        ARM,
+    ]
 
 
 def test_a_start_that_finds_the_axis_armed_releases_it_first() -> None:
@@ -324,3 +333,20 @@ def test_the_first_estimate_of_a_loop_that_was_closed_before_is_not_believed() -
         feed(stand, can_frame("061#0000000008000000"))
         feed(stand, can_frame("069#0000000000000000"))
         assert only(stand).position == position
+
+
+@pytest.mark.parametrize(("text", "lost"), [(VELOCITY_MODE, 1), (VELOCITY_MODE, 2), (LIMITS, 1), (LIMITS, 2)])
+def test_what_nobody_confirms_is_sent_again_so_that_a_lost_frame_leaves_no_motor_without(text: str, lost: int) -> None:
+    stand, device = stand_of()
+    heard: list[str] = []
+
+    def loses(frame: CanFrame) -> bool:
+        if can_text(frame) == text:
+            heard.append(text)
+        return can_text(frame) == text and len(heard) <= lost
+
+    device.deaf = loses
+    stand.run(VELOCITY, ms=500)
+    assert len(heard) == 3
+    assert story(stand)[5:] == [CLEAR_06, *[VELOCITY_MODE] * 3, *[LIMITS] * 3, ARM]
+    assert only(stand).state is MotorState.OPERATIONAL
