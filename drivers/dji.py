@@ -76,7 +76,7 @@ _COAST: Final = CommandKind.COAST
 _COMMAND: Final = Struct(">4h")  # current raw of four motors
 _FEEDBACK: Final = Struct(">HhhBx")  # angle ticks, speed rpm, current raw, temperature deg C (C610: nothing), unused
 _WHOLE: Final = 6755399441055744.0  # 1.5 * 2^52: floats there are whole numbers, so adding it rounds to the nearest one
-_FEEDBACK_SIZE: Final = 8
+_FEEDBACK_SIZE: Final = _FEEDBACK.size
 _feedback: Final = _FEEDBACK.unpack_from
 _FEEDBACK_FIELDS: Final = ("angle_ticks", "speed_rpm", "current_raw", "temperature_c")
 

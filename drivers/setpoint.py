@@ -23,10 +23,10 @@ class Setpoint:
     def __init__(
         self, kind: CommandKind, value: float = 0.0, feed_forward: float = 0.0, limit: float | None = None
     ) -> None:
-        self.kind = kind
-        self.value = value
-        self.feed_forward = feed_forward
-        self.limit = limit
+        self.kind: Final = kind
+        self.value: Final = value
+        self.feed_forward: Final = feed_forward
+        self.limit: Final = limit
 
     def _fields(self) -> tuple[CommandKind, float, float, float | None]:
         return self.kind, self.value, self.feed_forward, self.limit

@@ -68,12 +68,12 @@ class Motion:
         *,
         turned: float = 0.0,
     ) -> None:
-        self.commands = commands
-        self.share = share
-        self.limits = limits
-        self.chassis = chassis
-        self.events = events
-        self.turned = turned
+        self.commands: Final = commands
+        self.share: Final = share
+        self.limits: Final = limits
+        self.chassis: Final = chassis
+        self.events: Final = events
+        self.turned: Final = turned
 
     def limited_by(self, limits: tuple[str, ...]) -> "Motion":
         """The same, with these limits at work before its own."""

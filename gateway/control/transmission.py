@@ -19,8 +19,8 @@ class Transmission:
     __slots__ = ("ratio", "zero")
 
     def __init__(self, ratio: float, zero: float) -> None:
-        self.ratio = ratio
-        self.zero = zero
+        self.ratio: Final = ratio
+        self.zero: Final = zero
 
     def motor_speed(self, output_speed: float) -> float:
         """Rad/s at the shaft."""

@@ -80,14 +80,14 @@ class Sample:
         dt: float,
         expected: Callable[[], float | None],
     ) -> None:
-        self.setpoint = setpoint
-        self.speed = speed
-        self.position = position
-        self.torque = torque
-        self.fresh = fresh
-        self.driving = driving
-        self.dt = dt
-        self.expected = expected
+        self.setpoint: Final = setpoint
+        self.speed: Final = speed
+        self.position: Final = position
+        self.torque: Final = torque
+        self.fresh: Final = fresh
+        self.driving: Final = driving
+        self.dt: Final = dt
+        self.expected: Final = expected
 
 
 class Limits:
@@ -96,8 +96,8 @@ class Limits:
     __slots__ = ("speed", "torque")
 
     def __init__(self, speed: float, torque: float) -> None:
-        self.speed = speed
-        self.torque = torque
+        self.speed: Final = speed
+        self.torque: Final = torque
 
     def strained(self, torque: float | None) -> bool:
         """Whether the motor gives all it has; None is not known to."""

@@ -9,8 +9,8 @@ same inputs give the same outputs: the live service, the simulation and the repl
 Authority over the motors only ever shrinks between two rests: the setpoint of the body grows in DRIVE and DEGRADED and
 nowhere else, and a motor that was lost, released or found faulty is not driven again before IDLE. An emergency stop
 alone may step, and may brake a motor that was lost before.
-The stages of later work have their place here: compensation and launch between `limit` and `wheel speeds`, traction
-after `measure`, degraded driving inside the kinematics (fewer rows) and the limits (less effort).
+What a chassis does on its own between the setpoint and its joints is its drive law (`gateway.control.drive_law`), what
+the motors left can do is `gateway.core.ability`. Launch will be a drive law's, traction comes after `measure`.
 """
 
 from collections.abc import Sequence

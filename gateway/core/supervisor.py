@@ -37,18 +37,18 @@ class Situation:
         overdue: bool = False,  # arming takes too long
         rested: bool = False,  # setpoint zero and the wheels stand, or do not report and had their time
     ) -> None:
-        self.estop = estop
-        self.reset = reset
-        self.shutdown = shutdown
-        self.blocked = blocked
-        self.latched = latched
-        self.faulty = faulty
-        self.reduced = reduced
-        self.commanded = commanded
-        self.start = start
-        self.armed = armed
-        self.overdue = overdue
-        self.rested = rested
+        self.estop: Final = estop
+        self.reset: Final = reset
+        self.shutdown: Final = shutdown
+        self.blocked: Final = blocked
+        self.latched: Final = latched
+        self.faulty: Final = faulty
+        self.reduced: Final = reduced
+        self.commanded: Final = commanded
+        self.start: Final = start
+        self.armed: Final = armed
+        self.overdue: Final = overdue
+        self.rested: Final = rested
 
 
 Condition = Callable[[Situation], bool]

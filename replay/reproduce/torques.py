@@ -1,5 +1,6 @@
 """Figures 11 to 14: what motors and ground have to give, for the flip, when it is compensated, and for the caster."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from math import degrees, hypot, inf, pi
 from typing import NamedTuple
@@ -144,15 +145,7 @@ def figure_13(stage: Stage) -> Found:
         ),
         y_range=(-5.4, -4.4),
     )
-    swivels = Panel(
-        "Swivel of the caster",
-        "t [s]",
-        "swivel [deg]",
-        lines=(
-            Line("set B", [i.t for i in instants], [degrees(i.swivel) for i in instants], 1, dashed=True),
-            Line("service", times, [degrees(angle) for angle in loop.swivels[: len(times)]]),
-        ),
-    )
+    swivels = _swivels(instants, times, loop.swivels[: len(times)])
     notes = (
         "The paper prints the swivel at the start and no result. Trail, place and radius of the caster (0.05, 0.25, "
         "0.05 m) are ours.",
@@ -217,16 +210,7 @@ def figure_14(stage: Stage) -> Found:
         ),
         marks=marks,
     )
-    swivels = Panel(
-        "Swivel of the caster",
-        "t [s]",
-        "swivel [deg]",
-        lines=(
-            Line("set B", [i.t for i in instants], [degrees(i.swivel) for i in instants], 1, dashed=True),
-            Line("service", [s.t for s in samples], [degrees(angle) for angle in loop.swivels]),
-        ),
-        marks=marks,
-    )
+    swivels = _swivels(instants, [s.t for s in samples], loop.swivels, marks)
     notes = (
         "The paper prints 12.38 N m here, the number of the flip in section 7.1, and also for the right wheel: either "
         "a slip of copying or evidence for a narrow track and a short trail. It is undecided.",
@@ -326,6 +310,20 @@ def _forces(title: str, given: dict[str, list[Instant]], loop: Loop, paper: floa
     ]
     service = Line("set B, service", [s.t for s in loop.driven.samples], loop.forces)
     return Panel(title, "t [s]", "force [N]", lines=(service, *lines), levels=(Level(f"paper: {paper:g} N", paper),))
+
+
+def _swivels(given: list[Instant], times: list[float], found: Sequence[float], marks: Sequence[Mark] = ()) -> Panel:
+    """Of the caster, computed and through the service."""
+    return Panel(
+        "Swivel of the caster",
+        "t [s]",
+        "swivel [deg]",
+        lines=(
+            Line("set B", [i.t for i in given], [degrees(i.swivel) for i in given], 1, dashed=True),
+            Line("service", times, [degrees(angle) for angle in found]),
+        ),
+        marks=marks,
+    )
 
 
 def _given() -> str:
