@@ -173,7 +173,6 @@ class OffsetDifferentialLaw:
 
     def _manoeuvre(self, policy: RegionPolicy, setpoint: Rates, measured: Measured, *, braking: bool) -> Motion:
         """The piece at work, as fast as the setpoint and no faster."""
-        self._held = None
         vx, vy, _ = setpoint
         speed = sqrt(vx * vx + vy * vy)
         at_rest = speed == 0.0 and not any(self._told or ())

@@ -432,10 +432,12 @@ def test_wheels_too_fast_scale_the_setpoint() -> None:
     assert stand.engine._kinematics.wheel_speeds(stand.engine._limiter.setpoint, ()) == pytest.approx(speeds)
 
 
-def test_slip_is_named() -> None:
+@pytest.mark.parametrize("mode", [Mode.DRIVE, Mode.STOPPING, Mode.ESTOP])
+def test_slip_is_named(mode: Mode) -> None:
     stand = Stand("omni4")
     stand.drive(ZERO_TWIST, seconds=0.1)
     stand.engine._measured = stand.engine._measured._replace(slipping=True)
+    stand.engine._mode = mode
     assert stand.limit(ZERO_TWIST, dt=0.0).limits == ("slip",)
 
 
