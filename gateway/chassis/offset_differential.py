@@ -57,8 +57,9 @@ class CompensationConfig(Section):
     @classmethod
     def _one_region(cls, given: object) -> object:
         """A number is a region at every speed."""
-        if isinstance(given, dict) and isinstance(given.get("region"), int | float):
-            return given | {"region": [{"speed": 0.0, "region": given["region"]}]}
+        region = given.get("region") if isinstance(given, dict) else None
+        if isinstance(given, dict) and isinstance(region, int | float) and not isinstance(region, bool):
+            return given | {"region": [{"speed": 0.0, "region": region}]}
         return given
 
     @model_validator(mode="after")

@@ -31,7 +31,7 @@ class Setting(NamedTuple):
 SPEED_OVERRIDE: Final = Setting("speed_override", "of limits.velocity", 0.05, 1.0, 1.0)  # that commands may use
 # Only where the robot file has [robot.compensation], which also says what they are at the start.
 COMPENSATION_GAIN: Final = Setting("compensation_gain", "(no unit)", 0.0, 4.0, None)
-COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, 3.14, None)
+COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, 3.15, None)
 SETTINGS: Final = {setting.name: setting for setting in (SPEED_OVERRIDE, COMPENSATION_GAIN, COMPENSATION_REGION)}
 KNOWN: Final = f"must be one of {', '.join(SETTINGS)}"
 

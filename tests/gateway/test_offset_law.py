@@ -191,12 +191,21 @@ def test_before_the_limits_of_the_body_the_correction_loses_the_robot(turned: tu
         ("gain = 2.0", "gain = -1.0", "gain"),
         ("region = 1.57", "region = [{ speed = 1.0, region = 1.0 }, { speed = 0.5, region = 1.2 }]", "must grow"),
         ("region = 1.57", "region = []", "region"),
+        ("region = 1.57", "region = true", "region"),
     ],
 )
 def test_what_cannot_work_is_refused(old: str, new: str, words: str) -> None:
     assert old in COMPENSATION
     with pytest.raises(ConfigError, match=words):
         parse(robot_text("moby").replace("[robot.body]", COMPENSATION.replace(old, new), 1), "moby")
+
+
+def test_the_widest_region_of_a_robot_file_can_be_set_too() -> None:
+    """A gain of 1 corrects errors of half a turn."""
+    wide = compensated(robot_text("moby")).replace("gain = 2.0\nregion = 1.57", f"gain = 1.0\nregion = {math.pi}", 1)
+    world = World("moby", joint_angles=PULLED, edit=lambda _: wide)
+    (region,) = [one for one in world.engine._settings.describe() if one.name == "compensation_region"]
+    assert region.low <= region.value <= region.high
 
 
 def test_a_loop_too_slow_for_compensation_is_refused_where_it_is_used() -> None:
