@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Trailing
-from gateway.control.compensation import Compensation, RegionAt, largest_region, longest_period
+from gateway.control.compensation import WHOLE_CIRCLE, Compensation, RegionAt, longest_period, region_refusal
 from gateway.control.drive_law import SpeedLaw
 from gateway.control.manoeuvre import Form, Limits
 from gateway.control.offset_law import Geometry, OffsetDifferentialLaw
@@ -41,7 +41,7 @@ class RegionPoint(Section):
     """Largest error that is corrected at this speed."""
 
     speed: Annotated[float, Field(ge=0.0, le=20.0, description="m/s")]
-    region: Annotated[float, Field(gt=0.0, le=3.15, description="rad")]
+    region: Annotated[float, Field(gt=0.0, le=WHOLE_CIRCLE, description="rad")]
 
 
 class CompensationConfig(Section):
@@ -64,13 +64,8 @@ class CompensationConfig(Section):
 
     @model_validator(mode="after")
     def _within_what_corrects(self) -> Self:
-        largest = largest_region(self.gain)
-        problems = [
-            f"region = {point.region:g}: allowed up to {largest:.4g} rad with gain = {self.gain:g}, pi/(2 (gain - 1)); "
-            "beyond it the correction gets weaker again"
-            for point in self.region
-            if point.region > largest + 1e-9
-        ]
+        refusals = [region_refusal(self.gain, point.region) for point in self.region]
+        problems = [refusal for refusal in refusals if refusal is not None]
         speeds = [point.speed for point in self.region]
         if speeds != sorted(set(speeds)):
             problems.append(f"region: speeds {speeds} must grow")

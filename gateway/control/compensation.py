@@ -19,6 +19,8 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import angle_of, exponential, logarithm, sin_cos
 from gateway.control.pull_region import LEAST_SPEED, Pull, examine
 
+WHOLE_CIRCLE: Final = 3.142  # rad, a region with every error in it: pi as people write it
+_FOUR_DIGITS: Final = 5e-4  # a bound is told with so many: the most that they are off by
 _DELAY_SLOPE: Final = 1.9  # a twentieth below the slope of the limit where it ends
 _PATH_RATE_TIME: Final = 0.1  # s, over which the rate of a path that nobody tells is averaged
 
@@ -32,7 +34,18 @@ class RegionAt(NamedTuple):
 
 def largest_region(gain: float) -> float:
     """pi/(2 (k - 1)), rad: beyond it the correction gets weaker again; half way to where it turns the other way."""
-    return min(pi, pi / (2.0 * (gain - 1.0))) if gain > 1.0 else pi
+    return min(WHOLE_CIRCLE, pi / (2.0 * (gain - 1.0))) if gain > 1.0 else WHOLE_CIRCLE
+
+
+def region_refusal(gain: float, region: float) -> str | None:
+    """Why this region, rad, does not go with this gain; None: it does, as far as four digits tell."""
+    largest = largest_region(gain)
+    if region <= largest * (1.0 + _FOUR_DIGITS):
+        return None
+    return (
+        f"region = {region:g}: allowed up to {largest:.4g} rad with gain = {gain:g}, pi/(2 (gain - 1)); "
+        "beyond it the correction gets weaker again"
+    )
 
 
 def longest_period(gain: float, *, axle_offset: float, speed: float, delay: float = 0.0) -> float:

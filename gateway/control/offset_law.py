@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from drivers.setpoint import CommandKind
 from gateway.arithmetic import angle_of, sin_cos
-from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, region_at
+from gateway.control.compensation import Compensation, PathRate, RegionAt, region_at, region_refusal
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled, wrapped
 from gateway.control.region_policy import RegionPolicy, Seen, still
@@ -104,12 +104,10 @@ class OffsetDifferentialLaw:
         return refusal
 
     def _objection(self, gain: float, region: float) -> str | None:
-        largest = largest_region(gain)
-        if region > largest:
-            return f"gain {gain:g} with a region of {region:.4g} rad: allowed up to {largest:.4g} rad"
-        if self._period > self._longest_period(gain):
+        refusal = region_refusal(gain, region)
+        if refusal is None and self._period > self._longest_period(gain):
             return f"gain {gain:g}: the loop is too slow for it at top speed"
-        return None
+        return refusal
 
     def aim(
         self, target: Rates, measured: Measured, *, region: WayRound, path_rate: float | None, whole: bool

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import Final, NamedTuple
 
+from gateway.control.compensation import WHOLE_CIRCLE
 from gateway.control.drive_law import DriveLaw
 from gateway.types import SettingStatus
 
@@ -31,7 +32,7 @@ class Setting(NamedTuple):
 SPEED_OVERRIDE: Final = Setting("speed_override", "of limits.velocity", 0.05, 1.0, 1.0)  # that commands may use
 # Only where the robot file has [robot.compensation], which also says what they are at the start.
 COMPENSATION_GAIN: Final = Setting("compensation_gain", "(no unit)", 0.0, 4.0, None)
-COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, 3.15, None)
+COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, WHOLE_CIRCLE, None)
 SETTINGS: Final = {setting.name: setting for setting in (SPEED_OVERRIDE, COMPENSATION_GAIN, COMPENSATION_REGION)}
 KNOWN: Final = f"must be one of {', '.join(SETTINGS)}"
 

@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.control.compensation import Compensation, PathRate, RegionAt, largest_region, longest_period, region_at
+from gateway.control.compensation import (
+    WHOLE_CIRCLE,
+    Compensation,
+    PathRate,
+    RegionAt,
+    largest_region,
+    longest_period,
+    region_at,
+    region_refusal,
+)
 from gateway.control.pull_region import Region, examine, flip_speeds, goal_of, settled
 
 D1, C = 0.25, 1.2  # m, m/s
@@ -175,7 +184,11 @@ def test_nothing_is_corrected_beyond_the_region_m7() -> None:
     assert largest_region(3.0) == pytest.approx(math.radians(45.0))  # 60 degrees are refused
     assert largest_region(2.0) == pytest.approx(math.radians(90.0))
     assert largest_region(4.0) == pytest.approx(math.radians(30.0))
-    assert largest_region(1.0) == math.pi
+    assert largest_region(1.0) == WHOLE_CIRCLE >= math.pi
+    for gain in (1.0, 1.7, 2.0, 2.34, 3.0, 4.0):  # what the refusal tells is taken
+        told = float(f"{largest_region(gain):.4g}")
+        assert region_refusal(gain, told) is None
+        assert f"allowed up to {told:g} rad" in str(region_refusal(gain, told * 1.002))
 
 
 def test_the_limit_of_a_sampled_loop_m8() -> None:

@@ -198,13 +198,15 @@ def test_gain_and_region_of_the_compensation_are_set_while_it_drives() -> None:
 
 
 def test_what_does_not_go_together_is_refused_and_stays_as_it_was() -> None:
+    refused = (
+        "region = {:g}: allowed up to 0.7854 rad with gain = 3, pi/(2 (gain - 1)); "
+        "beyond it the correction gets weaker again"
+    )
     world = pulled_world()
-    assert ask(world, "compensation_gain", 3.0).reason == ("gain 3 with a region of 1.57 rad: allowed up to 0.7854 rad")
+    assert ask(world, "compensation_gain", 3.0).reason == refused.format(1.57)
     assert ask(world, "compensation_region", 0.7).ok
     assert ask(world, "compensation_gain", 3.0).ok
-    assert ask(world, "compensation_region", 0.8).reason == (
-        "gain 3 with a region of 0.8 rad: allowed up to 0.7854 rad"
-    )
+    assert ask(world, "compensation_region", 0.8).reason == refused.format(0.8)
     law = world.engine._law
     assert dict(law.settings) == {"compensation_gain": 3.0, "compensation_region": 0.7}
 
