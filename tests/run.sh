@@ -9,7 +9,7 @@ make_venv .venv
 .venv/bin/ruff format --check .
 .venv/bin/ruff check .
 .venv/bin/mypy
-.venv/bin/python -m pytest --numprocesses auto --dist worksteal "$@"
-.venv/bin/python -m tests.compiled -q --numprocesses auto --dist worksteal
+.venv/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal "$@"
+.venv/bin/python -m tests.compiled -q --numprocesses auto --maxprocesses 4 --dist worksteal
 .venv/bin/python -m tests.vm
 .venv/bin/python -m tests.equality
