@@ -24,6 +24,7 @@ from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
+from replay.reproduce.kane_model import Response, gains_for
 from replay.sim.plants.offset_dynamics import SWIVEL, OffsetDynamics, OffsetParameters
 
 Vector = Mapping[str, Any]
@@ -229,6 +230,12 @@ def _inverse_dynamics(given: Vector) -> dict[str, Any]:
     }
 
 
+def _pid_from_poles(given: Vector) -> dict[str, Any]:
+    response = Response(peak=given["tp"], settled=given["ts"], third=given["third_pole"])
+    gains, inertia = gains_for(given["Kd"], response)
+    return {"J": inertia, "Kp": gains.proportional, "Ki": gains.integral}
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -242,6 +249,7 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.step_theta": _step_theta,
     "profile.trapezoid_quarter": _trapezoid,
     "moby.inverse_dynamics": _inverse_dynamics,
+    "omni004.pid_from_poles": _pid_from_poles,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,

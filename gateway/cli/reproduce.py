@@ -1,4 +1,4 @@
-"""`drivegate reproduce`: the experiments of the paper once more, each with a session, a picture and a table."""
+"""`drivegate reproduce`: the experiments of the papers once more, each with a session, a picture and a table."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence

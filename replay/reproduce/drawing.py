@@ -36,7 +36,7 @@ def draw(picture: Picture, path: Path) -> None:
 
 def _height(row: Sequence[Panel]) -> float:
     """Inches."""
-    return max(_map_height(panel, len(row)) if panel.shape is not None else _ROW for panel in row)
+    return max(_map_height(panel, len(row)) if panel.is_map else _ROW for panel in row)
 
 
 def _map_height(panel: Panel, beside: int) -> float:
@@ -94,7 +94,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
         )
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)
-    if panel.shape is not None:
+    if panel.is_map:
         (left, right), (low, high) = _extent(panel)
         axes.set_xlim(left, right)
         axes.set_ylim(low, high)

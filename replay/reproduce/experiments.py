@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from replay.reproduce import arcs, drawing, hits, impact, straight, tables, torques
+from replay.reproduce import arcs, drawing, hits, impact, kane, kane_tracking, straight, tables, torques
 from replay.reproduce.result import Found, Result, Stage
 
 
@@ -25,6 +25,12 @@ EXPERIMENTS: dict[str, Experiment] = {
     "moby-fig13": Experiment("Figure 13: the caster while the robot accelerates", torques.figure_13, 5),
     "moby-fig14": Experiment("Figure 14: the caster comes out of its unstable position", torques.figure_14, 5),
     "moby-fig15": Experiment("Figure 15: both experiments of section 8", hits.figure_15, 4),
+    "kane-fig7": Experiment("Figure 7: along a diagonal while spinning", kane.figure_7, 2),
+    "kane-fig8": Experiment("Figure 8: wheel speeds that no motion explains", kane.figure_8, 1),
+    "kane-fig9": Experiment("Figures 9 to 12: torques, energy and momentum", kane.figure_9, 3),
+    "kane-fig13": Experiment("Figures 13 to 18: along a figure eight", kane_tracking.figure_13, 2),
+    "kane-fig19": Experiment("Figures 15 and 19 to 22: sharp corners", kane_tracking.figure_19, 3),
+    "kane-fig24": Experiment("Figures 23 to 27: pushed on the figure eight", kane_tracking.figure_24, 2),
 }
 
 

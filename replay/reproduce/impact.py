@@ -156,7 +156,7 @@ def _blow(driven: Driven) -> Blow:
     """From half a second before it on; the error against the line that was to be driven."""
     found = Blow([], [], [], [], [], [])
     for sample in driven.samples:
-        if sample.t >= SERVICE_AT - DIRECT_AT:
+        if sample.t >= SERVICE_AT - DIRECT_AT and sample.swivel is not None:
             error = remainder(sample.chassis - pi, tau)
             _add(found, sample.t - SERVICE_AT, error, sample.x, sample.y, sample.chassis, sample.swivel)
     return found

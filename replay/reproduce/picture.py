@@ -76,6 +76,12 @@ class Panel(NamedTuple):
     robots: Sequence[DrawnRobot] = ()
     shape: Shape | None = None
     y_range: tuple[float, float] | None = None  # what of the y axis is shown; None: everything
+    to_scale: bool = False  # a map without robots
+
+    @property
+    def is_map(self) -> bool:
+        """Seen from above."""
+        return self.to_scale or self.shape is not None
 
 
 class Picture(NamedTuple):

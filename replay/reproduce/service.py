@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.core.examination import examine
-from gateway.types import ZERO_TWIST, Event, Mode, Outputs, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
+from gateway.types import Event, Mode, Outputs, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.drive.recording import SessionRecording
 from replay.reproduce.result import ReproduceError, Stage
@@ -23,12 +23,13 @@ _PATIENCE = 8.0  # s, for the robot to start
 
 
 class Order(NamedTuple):
-    """What is sent in a cycle: m/s over the floor, rad/s of the path if it is told, settings to be changed."""
+    """What is sent in a cycle: m/s over the floor, rad/s of the path if it is told, settings to be changed, rad/s."""
 
     vx: float
     vy: float
     path_rate: float | None = None
     settings: Mapping[str, float] = {}
+    wz: float = 0.0
 
 
 Wanted = Callable[[float, Pose], Order]  # at a time, s, where the odometry tells the robot to be
@@ -47,7 +48,7 @@ class Sample(NamedTuple):
     vy: float
     rates: tuple[float, ...]  # of the joints
     torques: tuple[float, ...]
-    swivel: float  # of the caster
+    swivel: float | None  # of the caster, where there is one
     error: float | None  # of gamma from its goal
     correction: float | None
     mode: Mode
@@ -77,17 +78,40 @@ def drive(
     Raises ReproduceError where the robot does not start.
     """
     config, text = robot_file(setup)
-    examine(config, ORIGIN)
-    recording = SessionRecording(
-        config,
-        text,
-        ORIGIN,
-        directory=stage.folder,
-        started_wall_ns=stage.started_wall_ns,
-        plant=PlantName.DYNAMICS,
-    )
     plant = plant_of(config, swivel=swivel)
-    drive_ = _Drive(ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant), plant, recording)
+    loop = ClosedLoop(config, joint_angles={"platform": -heading}, plant=plant)
+    return drive_in(
+        loop,
+        text,
+        PlantName.DYNAMICS,
+        wanted,
+        stage,
+        seconds=seconds,
+        disturb=lambda t: disturb(t, plant),
+        swivel=lambda: plant.swivel,
+    )
+
+
+def drive_in(
+    loop: ClosedLoop,
+    text: str,
+    plant: PlantName,
+    wanted: Wanted,
+    stage: Stage,
+    *,
+    seconds: float,
+    disturb: Callable[[float], None] = lambda t: None,
+    swivel: Callable[[], float | None] = lambda: None,
+) -> Driven:
+    """The same in a loop that somebody else made.
+
+    `text`: of its robot file; `plant`: by what its robot moves; `swivel`: tells that of the caster.
+    """
+    examine(loop.config, ORIGIN)
+    recording = SessionRecording(
+        loop.config, text, ORIGIN, directory=stage.folder, started_wall_ns=stage.started_wall_ns, plant=plant
+    )
+    drive_ = _Drive(loop, recording, swivel)
     try:
         samples = drive_.run(wanted, seconds, disturb)
     finally:
@@ -96,21 +120,21 @@ def drive(
 
 
 class _Drive:
-    def __init__(self, loop: ClosedLoop, plant: OffsetCaster, recording: SessionRecording) -> None:
+    def __init__(self, loop: ClosedLoop, recording: SessionRecording, swivel: Callable[[], float | None]) -> None:
         self.events: list[Event] = []
         self._loop = loop
-        self._plant = plant
         self._recording = recording
+        self._swivel = swivel
         self._asked = 0  # the id of the last request
         self._pose = Pose(0.0, 0.0, 0.0)
 
-    def run(self, wanted: Wanted, seconds: float, disturb: Disturb) -> list[Sample]:
+    def run(self, wanted: Wanted, seconds: float, disturb: Callable[[float], None]) -> list[Sample]:
         """Started, driven, and brought to rest."""
         self._start()
         samples, period = list[Sample](), self._loop.period_ns / 1e9
         for cycle in range(round(seconds / period) + 1):
             t = cycle * period
-            disturb(t, self._plant)
+            disturb(t)
             samples.append(self._sample(t, self._cycle(wanted(t, self._pose))))
         for _ in range(round(0.5 / period)):
             self._cycle(Order(0.0, 0.0))
@@ -124,7 +148,7 @@ class _Drive:
 
     def _cycle(self, order: Order) -> Outputs:
         now_ns = self._loop.next_ns
-        twist = ZERO_TWIST._replace(vx=order.vx, vy=order.vy)
+        twist = Twist(order.vx, order.vy, order.wz)
         command = TwistCommand(SOURCE, twist, TwistFrame.ODOM, None, now_ns, SOURCE, path_rate=order.path_rate)
         inputs, outputs = self._loop.cycle(commands=[command], requests=self._requests(order.settings, now_ns))
         self._recording.put(inputs, outputs, self._loop.engine.snapshot)
@@ -153,7 +177,7 @@ class _Drive:
             vy=vy,
             rates=truth.joint_rates,
             torques=truth.joint_torques,
-            swivel=self._plant.swivel,
+            swivel=self._swivel(),
             error=told[2] if told else None,
             correction=told[3] if told else None,
             mode=outputs.mode,

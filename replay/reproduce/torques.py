@@ -235,7 +235,9 @@ def _looped(stage: Stage, *, heading: float, swivel: float, gain: float | None) 
         disturb=lambda _, plant: momenta.append(plant.momentum),
     )
     forces = [hypot(b[0] - a[0], b[1] - a[1]) / PERIOD for a, b in pairwise(momenta)]  # the ground gives what they gain
-    return Loop(driven, [sample.swivel for sample in driven.samples], [*forces, forces[-1]])
+    return Loop(
+        driven, [sample.swivel for sample in driven.samples if sample.swivel is not None], [*forces, forces[-1]]
+    )
 
 
 def _peak_between(loop: Loop, start: float, end: float) -> float:
