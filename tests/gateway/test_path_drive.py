@@ -137,6 +137,19 @@ def test_a_square_with_sharp_corners(push: Push | None) -> None:
     assert off(done, path) < 5e-3
 
 
+@pytest.mark.parametrize("push", [None, Push(250.0, 6.0, 0.4)], ids=["alone", "pushed"])
+def test_a_figure_eight_of_arcs(push: Push | None) -> None:
+    """At 0.5 m/s 6.4 mm beside it in the arcs, 9 mm from its end; pushed off by 14 cm, back half a metre later."""
+    path = bundled("omni4_eight")
+    done = drive("omni4", path, 0.5, push)
+    assert all(step.mode is Mode.DRIVE for step in done.steps[1:])
+    assert done.worst(0.0, 2.4) < 8e-3
+    assert done.worst(3.5, path.length) < 8e-3
+    assert (done.worst(2.5, 3.4) > 0.1) is (push is not None)
+    assert done.worst(0.0, path.length) < 0.15
+    assert off(done, path) < 0.012
+
+
 def test_the_course_pulled_and_pushed_off_in_the_middle() -> None:
     """At 0.5 m/s, 1200 N for half a second in its first bend: 10 to 16 cm off, and back on the way without the push.
 
