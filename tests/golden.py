@@ -25,6 +25,7 @@ from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
 from replay.reproduce.kane_model import Response, gains_for
+from replay.sim.controllers.dc_motor import DcMotor
 from replay.sim.plants.offset_dynamics import SWIVEL, OffsetDynamics, OffsetParameters
 
 Vector = Mapping[str, Any]
@@ -236,6 +237,34 @@ def _pid_from_poles(given: Vector) -> dict[str, Any]:
     return {"J": inertia, "Kp": gains.proportional, "Ki": gains.integral}
 
 
+_STEPS_PER_INTERVAL = 200  # of Runge's fourth order: below 1e-13 of the speed
+
+
+def _voltage_stepping(given: Vector) -> dict[str, Any]:
+    """A motor of 1 ohm and 1 V s/rad on the inertia that gives the time constant; its voltage set at each interval."""
+    motor, top = DcMotor(resistance=1.0, constant=1.0), given["Vmax"]
+    rate, voltages, after = 0.0, [], []
+    for _ in range(given["n"]):
+        wanted = given["V0"] + motor.back_emf(rate)
+        voltages.append(wanted if top is None else min(wanted, top))
+        rate = _spun(motor, rate, voltages[-1], inertia=given["tau_m"], seconds=given["dt"])
+        after.append(motor.back_emf(rate))
+    return {"V": voltages, "E_after": after}
+
+
+def _spun(motor: DcMotor, rate: float, voltage: float, *, inertia: float, seconds: float) -> float:
+    def slope(at: float) -> float:
+        return motor.torque(motor.current(voltage, at)) / inertia
+
+    h = seconds / _STEPS_PER_INTERVAL
+    for _ in range(_STEPS_PER_INTERVAL):
+        one = slope(rate)
+        two = slope(rate + 0.5 * h * one)
+        three = slope(rate + 0.5 * h * two)
+        rate += h / 6.0 * (one + 2.0 * two + 2.0 * three + slope(rate + h * three))
+    return rate
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -250,6 +279,7 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "profile.trapezoid_quarter": _trapezoid,
     "moby.inverse_dynamics": _inverse_dynamics,
     "omni004.pid_from_poles": _pid_from_poles,
+    "motor.voltage_stepping": _voltage_stepping,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,

@@ -44,7 +44,7 @@ ROOMS: dict[str, set[str]] = {
         "gateway/paths",
     },
     "replay": set(),
-    "replay/sim/controllers": {"drivers"},
+    "replay/sim/controllers": {"drivers", "ground"},
     "replay/sim/plants": {"ground", "gateway/chassis", "replay/sim/controllers"},
     "replay/sim": {
         *("drivers", "ground", "robot file", "gateway/edges", "replay/sim/controllers", "replay/sim/plants"),

@@ -49,6 +49,8 @@ WRONG = [
     ("moby", "priority = 10,", "priority = 100,", ["commands.source.priority = 100", "unique"]),
     ("moby", 'name = "moby"', 'name = "Moby/*"', ["robot", "name"]),
     ("omni4", "axis_angle = 2.0943951023931953", "axis_angle = 1.0471975511965976", []),
+    ("omni4", "centre_height = 0.10", "centre_height = 0.0", ["robot.omni.body.centre_height = 0.0", "greater than 0"]),
+    ("omni4", "centre_height = 0.10", "centre_height = 100", ["centre_height = 100", "less than or equal to 10"]),
     ("omni4", "speed_loop = { kp = 3.5, ki = 14.0 }", "", ["speed_loop is missing"]),
     ("omni4", "watchdog_waiver", "# watchdog_waiver", ["watchdog"]),
     (
