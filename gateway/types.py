@@ -280,6 +280,16 @@ class ChassisState(NamedTuple):
 NO_STATE = ChassisState({}, ())
 
 
+class EffectiveMotors(NamedTuple):
+    """How hard the robot can push itself along the ground without turning, in motors of which none is wasted.
+
+    In steps of 15 degrees from forward to the left, up to 165; what goes one way goes the other way too.
+    """
+
+    every: tuple[float, ...]  # as built
+    usable: tuple[float, ...]  # what is left of it
+
+
 class AbilityStatus(NamedTuple):
     """What the robot can do with the motors it has left. `rank`: number of independent ways to move.
 
