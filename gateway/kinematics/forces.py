@@ -25,7 +25,7 @@ _ROUNDING: Final = 1e-9  # of an acceleration that is given exactly
 _TURN: Final = PLANAR.index("wz")
 _STEPS: Final = 12  # in half a turn; what goes one way goes the other way too
 DIRECTIONS: Final = tuple(pi * step / _STEPS for step in range(_STEPS))  # rad from forward, to the left
-FORWARD, DIAGONAL, SIDEWAYS = 0, 3, 6  # places of 0, 45 and 90 degrees
+_DIGITS: Final = 3  # of what is told ten times a second
 
 
 def force_coupling(rows: Matrix, inertia: Matrix) -> Matrix:
@@ -72,7 +72,7 @@ class PushTable:
         self._known: dict[tuple[bool, ...], tuple[Vector, Least]] = {}
 
     def of(self, usable: Sequence[bool]) -> EffectiveMotors:
-        """Along DIRECTIONS: all motors, and the usable ones."""
+        """Along DIRECTIONS, rounded: all motors, and the usable ones."""
         return EffectiveMotors(self._solved((True,) * len(self._pushes))[0], self._solved(tuple(usable))[0])
 
     def least(self, usable: Sequence[bool]) -> Least:
@@ -86,7 +86,7 @@ class PushTable:
     def _solved(self, usable: tuple[bool, ...]) -> tuple[Vector, Least]:
         if usable not in self._known:
             zonotope = self._zonotope(usable)
-            along = tuple(zonotope.reach(self._unit_vector(angle)) for angle in DIRECTIONS)
+            along = tuple(round(zonotope.reach(self._unit_vector(angle)), _DIGITS) for angle in DIRECTIONS)
             self._known[usable] = along, zonotope.least(self._unit_vector(0.0), self._unit_vector(pi / 2.0))
         return self._known[usable]
 
