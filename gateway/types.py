@@ -280,6 +280,16 @@ class ChassisState(NamedTuple):
 NO_STATE = ChassisState({}, ())
 
 
+class EffectiveMotors(NamedTuple):
+    """How hard the robot can push itself along the ground without turning, in motors of which none is wasted.
+
+    In steps of 15 degrees from forward to the left, up to 165; what goes one way goes the other way too. To 0.001.
+    """
+
+    every: tuple[float, ...]  # as built
+    usable: tuple[float, ...]  # what is left of it
+
+
 class AbilityStatus(NamedTuple):
     """What the robot can do with the motors it has left. `rank`: number of independent ways to move.
 
@@ -292,6 +302,7 @@ class AbilityStatus(NamedTuple):
     speed: float
     reachable: tuple[Twist, ...]
     lost: tuple[Twist, ...]
+    effective_motors: EffectiveMotors | None = None  # None: they change with the angle of a joint
 
 
 class SensorStatus(NamedTuple):

@@ -22,6 +22,8 @@ from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.control.compensation import Compensation, RegionAt
 from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
+from gateway.kinematics.forces import PushTable, force_coupling, least_forces
+from gateway.kinematics.linear import Matrix, pseudo_inverse
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
 from replay.reproduce.kane_model import Response, gains_for
@@ -81,6 +83,68 @@ def _slip_scalar(given: Vector) -> dict[str, Any]:
     assert estimate is not None
     residual = np.array(estimate.residuals, np.float64)
     return {"s": 4.0 * residual[0], "projected": measured - residual}
+
+
+def _slip_scalar_asym(given: Vector) -> dict[str, Any]:
+    """Front at phi, rear at theta: what no motion explains lies along g, so that g . r is g . m."""
+    phi, theta = given["phi"], given["theta"]
+    estimate = _omni({"thetas": [phi, pi - phi, pi + theta, -theta]}).twist(given["m"])
+    assert estimate is not None
+    residual = np.array(estimate.residuals, np.float64)
+    return {"s": residual @ [cos(theta), -cos(theta), cos(phi), -cos(phi)], "residual": residual}
+
+
+def _force_coupling(given: Vector) -> Matrix:
+    """Of the same wheels, at the radius of one metre; I = alpha M R^2."""
+    mass = given["M"]
+    inertia = ((mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, given["alpha"] * mass))
+    return force_coupling(_omni(given).rim_matrix, inertia)
+
+
+def _omni_c(given: Vector) -> dict[str, Any]:
+    return {"matrix": _TO_PAPER @ np.array(_force_coupling(given))}
+
+
+def _omni_c_pinv(given: Vector) -> dict[str, Any]:
+    return {"matrix": np.array(pseudo_inverse(_force_coupling(given))) @ _TO_PAPER.T}
+
+
+def _omni_dc(given: Vector) -> dict[str, Any]:
+    return {"matrix": np.array(_omni(given).rim_matrix) @ np.array(_force_coupling(given))}
+
+
+def _forces_one_motor_out(given: Vector) -> dict[str, Any]:
+    usable = [place != given["dead"] for place in range(len(given["thetas"]))]
+    acceleration = (given["ay"], -given["ax"], given["R_omega_dot"])
+    return {"f": least_forces(_force_coupling(given), acceleration, usable)}
+
+
+def _effective_motors(given: Vector) -> dict[str, Any]:
+    phi = given["phi"]
+    rows = _omni({"thetas": [phi, pi - phi, pi + phi, -phi]}).rim_matrix
+    return {"n_eff": PushTable(rows, (1.0,) * 4).along(given["psi"] - pi / 2.0, (True,) * 4)}
+
+
+def _plus_odometry(given: Vector) -> dict[str, Any]:
+    """Seed 004: wheels 1, 2 roll forward at the left and the right, 3, 4 to the left at the back and the front.
+
+    The residual of any wheel of the four is a quarter of the slip, at the rim.
+    """
+    arm, radius, heading = given["Lm"], given["R"], given["q3"]
+    poses = [(0.0, arm, -pi / 2.0), (0.0, -arm, -pi / 2.0), (-arm, 0.0, 0.0), (arm, 0.0, 0.0)]
+    kinematics = omni_kinematics([WheelPose(x, y, axis, radius) for x, y, axis in poses])
+    estimate = kinematics.twist(given["omega"])
+    assert estimate is not None
+    assert estimate.residuals is not None
+    (vx, vy, wz), first = estimate.twist, estimate.residuals[0]
+    assert first is not None
+    return {
+        "u1": cos(heading) * vx - sin(heading) * vy,
+        "u2": sin(heading) * vx + cos(heading) * vy,
+        "Omega": wz,
+        "slip": 4.0 * first / radius,
+        "omega_consistent": kinematics.wheel_speeds(estimate.twist),
+    }
 
 
 def _offset(given: Vector) -> OffsetDifferentialKinematics:
@@ -286,6 +350,13 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "omni.slip_scalar_sym4": _slip_scalar,
     "omni.wheel_speeds": _omni_wheel_speeds,
     "omni.odometry_and_slip": _omni_odometry,
+    "omni.slip_scalar_asym4": _slip_scalar_asym,
+    "omni.C_alpha": _omni_c,
+    "omni.C_alpha_pinv": _omni_c_pinv,
+    "omni.DC_alpha": _omni_dc,
+    "omni.forces_one_motor_out": _forces_one_motor_out,
+    "omni.effective_motors_sym4": _effective_motors,
+    "omni004.odometry": _plus_odometry,
 }
 
 

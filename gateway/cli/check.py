@@ -1,5 +1,6 @@
 """`drivegate check`: what follows from a robot file, without touching any bus."""
 
+from math import degrees
 from typing import Annotated
 
 import typer
@@ -7,8 +8,9 @@ from rich.table import Table
 
 from gateway import robot_files
 from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
+from gateway.cli.polar import polar
 from gateway.config import ConfigError, load
-from gateway.core.examination import LOAD_WARNING, Examination, examine
+from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine
 
 
 def check(
@@ -39,7 +41,13 @@ def _document(report: Examination) -> dict[str, object]:
         "reachable": dict(zip(report.axes, report.reachable, strict=True)),
         "loop_limits": [limit._asdict() for limit in report.loop_limits],
         "buses": [bus._asdict() for bus in report.buses],
+        "effective_motors": None if report.effective_motors is None else _pushes_document(report.effective_motors),
     }
+
+
+def _pushes_document(pushes: Pushes) -> dict[str, object]:
+    without = {name: push._asdict() for name, push in pushes.without.items()}
+    return pushes._asdict() | {"every": pushes.every._asdict(), "without": without}
 
 
 def _show(report: Examination) -> None:
@@ -61,5 +69,25 @@ def _show(report: Examination) -> None:
     for limit in report.loop_limits:
         table.add_row(limit.name, f"stable at top speed: {limit.needed}")
     console.print(table)
+    if report.effective_motors is not None:
+        _show_pushes(report.effective_motors)
     for warning in report.warnings:
         console.print(f"[yellow]warning[/] {warning}", highlight=False)
+
+
+def _show_pushes(pushes: Pushes) -> None:
+    """How hard it can push itself in each direction, drawn from above with forward up, and without each motor."""
+    words = f"effective motors: push along the ground without turning, in motors of {pushes.force:.3g} N; forward is up"
+    console.print(words, highlight=False)
+    for line in polar(pushes.directions, pushes.motors):
+        console.print(f"  {line}", markup=False, highlight=False)
+    table = Table("motors", "forward", "45 deg left", "sideways", "least")
+    table.add_row("all", *_push_cells(pushes.every))
+    for name, push in pushes.without.items():
+        table.add_row(f"without {name}", *_push_cells(push))
+    console.print(table)
+
+
+def _push_cells(push: Push) -> list[str]:
+    least = f"{push.least:.2f} at {degrees(push.least_direction):.0f} deg"
+    return [f"{push.forward:.2f}", f"{push.diagonal:.2f}", f"{push.sideways:.2f}", least]

@@ -18,6 +18,7 @@ from gateway.control.limits import excess, scale_to
 from gateway.core.assembly import Robot
 from gateway.core.health import Health
 from gateway.kinematics.contract import desaturate
+from gateway.kinematics.forces import PushTable
 from gateway.kinematics.linear import Matrix, Vector
 from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
 from gateway.types import PLANAR, AbilityStatus, Rates, Twist
@@ -60,6 +61,8 @@ class Abilities:
         self._velocity = config.limits.velocity.as_rates(robot.kinematics.axes)
         self._lost_use = tuple(JointUse.HELD if motor.when_lost == _HELD else JointUse.FREE for motor in motors)
         self._policy = config.degraded
+        steered = bool(robot.kinematics.steered)
+        self._pushes = None if steered else PushTable(robot.kinematics.matrix(), self._torques)
 
     def of(self, health: Health, measured: Measured) -> Ability | None:
         """What the usable motors can do now; None: not what the robot file calls driving."""
@@ -76,8 +79,18 @@ class Abilities:
             return None
         return self._limping(usable, angles)
 
-    def describe(self, ability: Ability | None) -> AbilityStatus:
-        """For `state`: the furthest twists along each way that is left, and the ways that are not."""
+    def describe(self, ability: Ability | None, usable: Sequence[bool]) -> AbilityStatus:
+        """For `state`: the furthest twists along each way that is left, the ways that are not, and how hard it pushes.
+
+        `usable`: the motors; where what is left of them is not called driving, they push nothing.
+        """
+        told = self._described(ability)
+        if self._pushes is None:
+            return told
+        pushing = usable if ability is not None else (False,) * len(usable)
+        return told._replace(effective_motors=self._pushes.of(pushing))
+
+    def _described(self, ability: Ability | None) -> AbilityStatus:
         if ability is None:
             return NOTHING_LEFT
         if ability.reach is None:

@@ -624,7 +624,7 @@ class Engine:
             overruns=inputs.overruns,
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
-            ability=self._abilities.describe(self._ability),
+            ability=self._abilities.describe(self._ability, health.usable),
             chassis=motion.chassis.facts,
             sensors=self._sensors.describe(inputs.now_ns),
             settings=self._settings.describe(),

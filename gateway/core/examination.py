@@ -1,6 +1,7 @@
 """What follows from a robot file, without touching any bus: geometry, top speeds, stopping, torque, bus load."""
 
 import itertools
+from collections.abc import Sequence
 from math import fsum, pi, sqrt
 from typing import Final, NamedTuple
 
@@ -9,7 +10,8 @@ from gateway.chassis.contract import LoopLimit
 from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build, feedback_delay
-from gateway.kinematics.linear import condition, decompose, product, pseudo_inverse, transpose
+from gateway.kinematics.forces import PushTable, force_coupling
+from gateway.kinematics.linear import Matrix, condition, decompose, product, pseudo_inverse, transpose
 from gateway.types import Rates
 
 LOAD_WARNING: Final = 0.70
@@ -18,7 +20,7 @@ STOPPING_REFUSAL_S: Final = 5.0  # a robot that needs longer from top speed is n
 # Of a speed error, that a speed loop may take back in one cycle: beyond 2 the error grows from cycle to cycle, up to 1
 # it never changes its sign. Source: ours, half of what is stable.
 LOOP_GAIN_REFUSAL: Final = 1.0
-_HEADINGS: Final = 72  # joint angles at which the top speed of a steered chassis is looked for
+_HEADINGS: Final = 72  # joint angles at which the top speed of a steered chassis is looked for; directions of a push
 
 
 _FD_TRAILER: Final = 13  # CRC delimiter, acknowledgement and its delimiter, end of frame (7), interframe space (3)
@@ -32,6 +34,29 @@ class BusLoad(NamedTuple):
     bitrate: int
     load: float
     frames_per_second: float
+
+
+class Push(NamedTuple):
+    """How hard some of the motors can push without turning, in motors of which none is wasted (Rojas 2005, section 2).
+
+    The direction of the least is in rad from forward to the left; what goes one way goes the other way too.
+    """
+
+    forward: float
+    diagonal: float  # 45 degrees to the left
+    sideways: float
+    least: float
+    least_direction: float
+
+
+class Pushes(NamedTuple):
+    """The same of all motors in every direction, and of all but one."""
+
+    force: float  # N at the ground of one motor at its max_torque, the strongest
+    directions: tuple[float, ...]  # rad from forward to the left
+    motors: tuple[float, ...]  # in each of these
+    every: Push
+    without: dict[str, Push]  # by the motor that is lost
 
 
 class Examination(NamedTuple):
@@ -52,6 +77,7 @@ class Examination(NamedTuple):
     torque_share: float  # of its torque that the most strained motor gives at the acceleration limits, all axes at once
     buses: tuple[BusLoad, ...]
     loop_limits: tuple[LoopLimit, ...]  # what is stable at top speed only with a loop that is fast enough
+    effective_motors: Pushes | None  # None: they change with the angle of a joint
     warnings: tuple[str, ...]
 
 
@@ -130,6 +156,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         torque_share=torque_share,
         buses=buses,
         loop_limits=loop_limits,
+        effective_motors=None if robot.kinematics.steered else _pushes(robot),
         warnings=tuple(
             _warnings(
                 config=config,
@@ -172,6 +199,27 @@ def _wheel_speeds(robot: Robot, rates: Rates, turn: float) -> list[float]:
     return robot.kinematics.wheel_speeds(rates, positions) or []
 
 
+def _pushes(robot: Robot) -> Pushes:
+    table = PushTable(robot.kinematics.matrix(), [limits.torque for limits in robot.limits])
+    every = (True,) * len(robot.names)
+    directions = tuple(2.0 * pi * step / _HEADINGS for step in range(_HEADINGS))
+    return Pushes(
+        force=table.unit,
+        directions=directions,
+        motors=tuple(table.along(direction, every) for direction in directions),
+        every=_push(table, every),
+        without={
+            name: _push(table, [other != place for other in range(len(robot.names))])
+            for place, name in enumerate(robot.names)
+        },
+    )
+
+
+def _push(table: PushTable, usable: Sequence[bool]) -> Push:
+    forward, diagonal, sideways = (table.along(direction, usable) for direction in (0.0, pi / 4.0, pi / 2.0))
+    return Push(forward, diagonal, sideways, *table.least(usable))
+
+
 def _slowest(config: RobotConfig) -> str:
     """The axis that takes longest to stop."""
     axes = config.robot.AXES
@@ -183,20 +231,28 @@ def _slowest(config: RobotConfig) -> str:
 def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
     """The motor that the acceleration limits strain most, all axes at once, and the share of its torque.
 
-    Power is the same at the wheels and at the body, so the torques are those of least norm with rows' torque = force;
-    dry friction and that of half top speed come on top. The inertia of a chassis below its joint is left out.
+    The torques are those of least norm; dry friction and that of half top speed come on top. The inertia of a chassis
+    below its joint is left out.
     """
     body, limits = config.robot.body, config.limits.acceleration.as_rates(config.robot.AXES)
-    strongest = [mass * limit for mass, limit in zip(config.robot.masses(), limits, strict=True)]
-    forces = tuple(itertools.product(*((-force, force) for force in strongest)))
+    masses = _diagonal(config.robot.masses())
+    accelerations = tuple(itertools.product(*((-limit, limit) for limit in limits)))
     worst = ("", 0.0)
     for turn in _turns(robot):
-        columns = tuple(tuple(_wheel_speeds(robot, axis, turn)) for axis in _units(robot))
-        torques = [max(map(abs, row)) for row in product(pseudo_inverse(columns), transpose(forces))]
+        coupling = force_coupling(
+            transpose(tuple(tuple(_wheel_speeds(robot, axis, turn)) for axis in _units(robot))), masses
+        )
+        torques = [max(map(abs, row)) for row in product(pseudo_inverse(coupling), transpose(accelerations))]
         for name, torque, motor in zip(robot.names, torques, robot.limits, strict=True):
             share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
             worst = max(worst, (name, share), key=lambda one: one[1])
     return worst
+
+
+def _diagonal(values: Rates) -> Matrix:
+    return tuple(
+        tuple(value if place == row else 0.0 for place in range(len(values))) for row, value in enumerate(values)
+    )
 
 
 def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:

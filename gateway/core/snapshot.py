@@ -46,7 +46,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         }
     ),
     "gateway.core.ability.Abilities": frozenset(
-        {"_chassis", "_kinematics", "_lost_use", "_policy", "_speeds", "_torques", "_velocity"}
+        {"_chassis", "_kinematics", "_lost_use", "_policy", "_pushes", "_speeds", "_torques", "_velocity"}
     ),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_abilities", "_timeout_ns"}),

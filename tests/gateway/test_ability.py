@@ -7,7 +7,7 @@ import pytest
 
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.core.assembly import build
-from gateway.types import Mode, Twist
+from gateway.types import AbilityStatus, EffectiveMotors, Mode, Twist
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
@@ -141,7 +141,7 @@ def test_what_it_can_do_is_in_its_state() -> None:
     )
     full = next(one.outputs.status for one in moments if one.outputs.status and one.outputs.mode is Mode.DRIVE)
     assert full is not None
-    assert full.ability == (3, 1.0, 1.0, (), ())
+    assert full.ability == AbilityStatus(3, 1.0, 1.0, (), ()), "its geometry turns, so no effective motors"
     status = next(one.outputs.status for one in reversed(moments) if one.outputs.status)
     assert status is not None
     assert "limp" in status.limits_active
@@ -249,3 +249,28 @@ def test_nothing_limps_that_does_not_see_how_it_moves(fault: str) -> None:
     assert Mode.DEGRADED not in modes(moments)
     assert Mode.FAULT in modes(moments)
     assert moments[-1].truth.twist == pytest.approx((0.0, 0.0, 0.0), abs=0.03)
+
+
+# Of the 30-degree layout, forward to 165 degrees to the left, by 4 sin cos/(|cos psi| cos phi + |sin psi| sin phi),
+# phi = 30 degrees from the left: forward 4 cos 30, sideways 4 sin 30.
+EVERY = (3.464, 2.449, 2.0, 1.793, 1.732, 1.793, 2.0, 1.793, 1.732, 1.793, 2.0, 2.449)
+
+
+def test_how_hard_it_pushes_is_in_its_state_with_the_motors_that_are_left() -> None:
+    """omni4: all motors; one lost: half of it forward and sideways; two lost, and not called driving: nothing."""
+    moments = driven(
+        parse(robot_text("omni4"), "omni4"),
+        command(1.0, 0.4, 0.0, 0.0),
+        lost(2.0, "rear_left", "power_off"),
+        lost(4.0, "rear_right", "power_off"),
+        seconds=6.0,
+    )
+    told = {one.t: one.outputs.status.ability.effective_motors for one in moments if one.outputs.status}
+    whole, reduced, nothing = (
+        next(motors for t, motors in told.items() if motors is not None and t > since) for since in (1.5, 2.6, 4.6)
+    )
+    assert whole == EffectiveMotors(EVERY, EVERY)
+    assert reduced.every == EVERY
+    assert (reduced.usable[0], reduced.usable[6]) == (1.732, 1.0)
+    assert all(left < every + 1e-9 for left, every in zip(reduced.usable, EVERY, strict=True))
+    assert nothing == EffectiveMotors(EVERY, (0.0,) * 12)

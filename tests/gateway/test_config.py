@@ -434,3 +434,21 @@ def test_what_a_stop_and_a_curve_ask_of_the_robot_is_told() -> None:
     assert omni.torque_share == pytest.approx((force * 0.0762 + 0.09 + 0.02 * 45.0 / 2) / 4.5, rel=1e-6)
     heavy = robot_text("omni4").replace("mass = 25.0", "mass = 150.0")
     assert any("of the torque of motor" in warning for warning in examine(parse(heavy, "r"), "r").warnings)
+
+
+def test_check_draws_and_tells_how_hard_omni4_pushes_in_each_direction() -> None:
+    """Of 30 degrees: 4 cos 30 forward, 4 sin 30 sideways, least 3^0.5 at 30 degrees from sideways; 4.5 N m at 76 mm."""
+    told = json.loads(drivegate("check", "omni4", "--json").stdout)["effective_motors"]
+    assert told["force"] == pytest.approx(4.5 / 0.0762)
+    every = {"forward": 3.4641016, "diagonal": 1.7931509, "sideways": 2.0, "least": 1.7320508}
+    assert told["every"] == pytest.approx({**every, "least_direction": 1.0471976})
+    assert (len(told["directions"]), len(told["motors"])) == (72, 72)
+    assert told["motors"][9] == pytest.approx(told["motors"][45]), "45 degrees, and the other way"
+    assert [told["motors"][place] for place in (0, 9, 18)] == pytest.approx([3.4641016, 1.7931509, 2.0])
+    assert list(told["without"]) == ["front_left", "rear_left", "rear_right", "front_right"]
+    assert told["without"]["rear_left"]["forward"] == pytest.approx(1.7320508)
+    assert json.loads(drivegate("check", "moby", "--json").stdout)["effective_motors"] is None
+    shown = drivegate("check", "omni4").stdout
+    assert " -------oo----------+----------oo-------" in shown
+    assert "1.73 at 60 deg" in shown
+    assert "effective" not in drivegate("check", "moby").stdout

@@ -17,6 +17,7 @@ from gateway.edges.messages import EventMessage, OdometryMessage, ResetAnswer, T
 from gateway.types import (
     ZERO_TWIST,
     AbilityStatus,
+    EffectiveMotors,
     Event,
     Level,
     Mode,
@@ -69,7 +70,14 @@ STATUS = Status(
     overruns=1,
     dropped_records=0,
     cycle=17,
-    ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
+    ability=AbilityStatus(
+        2,
+        0.5,
+        0.3,
+        (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)),
+        (Twist(0.0, 0.0, 1.0),),
+        EffectiveMotors((2.0, 1.5), (1.0, 0.0)),
+    ),
     chassis={"region": "pull", "turn_radius": None},
 )
 
