@@ -92,6 +92,18 @@ def whole_number(low: int, high: int, meaning: str) -> Option:
     return Option(lambda value: type(value) is int and low <= value <= high, f"{low} to {high}, {meaning}")
 
 
+def number(low: float, high: float, meaning: str) -> Option:
+    """An option that is a number of this range; NaN is in none."""
+    allowed = f"{low:g} to {high:g} {meaning}"
+    return Option(lambda value: not isinstance(value, bool | str) and low <= value <= high, allowed)
+
+
+def one_of(words: Iterable[str], meaning: str) -> Option:
+    """An option that is one of these."""
+    known = tuple(words)
+    return Option(lambda value: value in known, f"{' or '.join(map(repr, known))}, {meaning}")
+
+
 def text(pattern: str, meaning: str) -> Option:
     """An option whose whole text matches this pattern."""
     return Option(lambda value: isinstance(value, str) and fullmatch(pattern, value) is not None, meaning)

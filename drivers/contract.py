@@ -70,15 +70,17 @@ class MotorFeedback(NamedTuple):
 
 
 class Capabilities(NamedTuple):
-    """What a controller can do on its own; every controller can coast, and one that takes a velocity can brake.
+    """What a controller can do on its own; every controller can be released, and one that takes a velocity can brake.
 
     `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
+    `coast`: released it rolls on; else its windings are as good as shorted, which brakes it while it turns.
     """
 
     velocity: bool = False
     torque: bool = False
     voltage: bool = False
     brake: bool = False
+    coast: bool = True
     feed_forward: bool = False
     limit: bool = False
     device_watchdog: bool = False

@@ -1,18 +1,26 @@
-"""DJI RoboMaster C620 (M3508 motor) and C610 (M2006 motor): torque only, through the current.
+"""DJI RoboMaster C620 (M3508 motor), C610 (M2006 motor) and GM6020 (motor and controller in one).
 
 How this works
 --------------
-Four motors share one command frame, 0x200 for ids 1 to 4 and 0x1FF for ids 5 to 8; every slot is always written, an
-unused one with 0. So there must be one writer per command id: this driver, and nobody else on that bus. There is no
-arming, no error report and no command timeout on CAN; whether a controller holds its last command when the host
-falls silent is not documented, so assume that it does. A motor that is not heard gets current 0, and so does one whose
-id two controllers have: whose speed is told is anybody's guess.
+C620 and C610 take a torque only, through the current. A GM6020 takes that or a voltage: which of the two is set in
+DJI's tool and cannot be read over CAN, so the robot file tells it (`options.mode`). In the other mode it listens to
+other ids, answers as ever and does not obey, which the core finds as it finds any motor that does not follow.
 
-Braking without the host's speed loop (`stop_frames`) is a current against the measured speed, in proportion to it: it
-fades as the motor comes to rest, and is 0 where the speed is unknown or too small to have a sign. A controller may
-hold it until the next frame, so the longer it may be held or the older the measurement is, the weaker it is.
+Four motors share one command frame; every slot is always written, an unused one with 0. So there must be one writer per
+command id: this driver, and nobody else on that bus. There is no arming, no error report and no command timeout on CAN;
+whether a controller holds its last command when the host falls silent is not documented, so assume that it does. A
+motor that is not heard gets 0, and so does one whose id two controllers have: whose speed is told is anybody's guess.
 
-Rotor side throughout: the angle, speed and torque are those of the motor shaft before its gearbox.
+0 is no current, with which a motor rolls on, or no voltage, with which its windings are as good as shorted: it brakes,
+the more the faster it turns, and never drives. So a GM6020 in voltage mode cannot be let roll, and braking it is 0 V.
+Where it takes a torque, braking without the host's speed loop (`stop_frames`) is a current against the measured speed,
+in proportion to it: it fades as the motor comes to rest, and is 0 where the speed is unknown or too small to have a
+sign. A controller may hold it until the next frame, so the longer it may be held or the older the measurement is, the
+weaker it is.
+
+Rotor side throughout: angle, speed and torque are those of the motor shaft before any gearbox; a GM6020 has none. The
+angle is absolute within one turn of it. Turns are counted from the first frame on, so that after a restart of the host
+they begin anew, and with them what lies behind a gear.
 """
 
 from collections.abc import Sequence
@@ -29,6 +37,8 @@ from drivers.checks import (
     check_specs,
     feedback_timeout_ns,
     measuring_hz,
+    number,
+    one_of,
 )
 from drivers.contract import (
     CanFrame,
@@ -52,14 +62,16 @@ _OPERATIONAL: Final = MotorState.OPERATIONAL
 _IDLE: Final = MotorState.IDLE
 _FAULT: Final = MotorState.FAULT
 
-COMMAND_IDS: Final = (0x200, 0x1FF)  # ids 1 to 4, ids 5 to 8; RoboMaster C610 manual, p. 8
-FEEDBACK_ID: Final = 0x200  # + id; same manual, p. 9
+# In the order in which they are sent.
+COMMAND_IDS: Final = (0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE)
 MOTORS_PER_FRAME: Final = 4
-IDS: Final = range(1, 9)
+# How a C620, a C610 and a GM6020 are numbered; the switches of a GM6020 can also say 0, which is no id.
+IDS: Final = {"c620": range(1, 9), "c610": range(1, 9), "gm6020": range(1, 8)}
+FEEDBACK_ID: Final = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}  # + id; C610 manual, p. 9; of a GM6020: taproot
 
 AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
 
-TICKS: Final = 8192  # per turn of the rotor; same manual, p. 9
+TICKS: Final = 8192  # per turn of the rotor; C610 manual, p. 9
 RAD_PER_TICK: Final = tau / TICKS
 RAD_S_PER_RPM: Final = tau / 60.0
 TICKS_PER_RPM_NS: Final = TICKS / 60e9
@@ -72,8 +84,10 @@ FULL_BRAKING_NS: Final = 5_000_000  # a current held for longer could turn a whe
 
 _made: Final = maker(MotorFeedback)
 _TORQUE: Final = CommandKind.TORQUE
+_VOLTAGE: Final = CommandKind.VOLTAGE
 _COAST: Final = CommandKind.COAST
-_COMMAND: Final = Struct(">4h")  # current raw of four motors
+_BRAKE: Final = CommandKind.BRAKE
+_COMMAND: Final = Struct(">4h")  # current or voltage raw of four motors
 _FEEDBACK: Final = Struct(">HhhBx")  # angle ticks, speed rpm, current raw, temperature deg C (C610: nothing), unused
 _WHOLE: Final = 6755399441055744.0  # 1.5 * 2^52: floats there are whole numbers, so adding it rounds to the nearest one
 _FEEDBACK_SIZE: Final = _FEEDBACK.size
@@ -81,21 +95,36 @@ _feedback: Final = _FEEDBACK.unpack_from
 _FEEDBACK_FIELDS: Final = ("angle_ticks", "speed_rpm", "current_raw", "temperature_c")
 
 
-class Variant(NamedTuple):
-    """What differs between the controllers."""
+class Mode(NamedTuple):
+    """What differs between the controllers, and between the modes of one."""
 
+    kind: CommandKind  # what it takes: a torque through the current, or a voltage
+    command_ids: tuple[int, int]  # of ids 1 to 4, and of those above
     raw_limit: int
-    raw_per_ampere: float
+    raw_per_ampere: float | None  # in feedback and, of a current, in commands; None: not known
     torque_constant: float  # N m/A at the rotor
     temperature: bool
 
 
-VARIANTS: Final[dict[str, Variant]] = {
+MODES: Final[dict[str, dict[str, Mode]]] = {
     # raw 16384 = 20 A, 0.3 N m/A after the gearbox 3591/187; open-source drivers RoboRTS-Firmware, OneMotor
-    "c620": Variant(16384, 16384 / 20.0, 0.3 * 187 / 3591, temperature=True),
+    "c620": {"current": Mode(_TORQUE, (0x200, 0x1FF), 16384, 16384 / 20.0, 0.3 * 187 / 3591, temperature=True)},
     # raw 10000 = 10 A; RoboMaster C610 manual, p. 8. 0.18 N m/A after the gearbox 36; OneMotor
-    "c610": Variant(10000, 1000.0, 0.18 / 36.0, temperature=False),
+    "c610": {"current": Mode(_TORQUE, (0x200, 0x1FF), 10000, 1000.0, 0.18 / 36.0, temperature=False)},
+    "gm6020": {
+        # raw 16384 = 3 A, 0.741 N m/A; the manual, v1.4, as public drivers quote it. That the feedback has the same
+        # scale they take for granted. It takes a firmware that knows this mode: 1.0.11.2 or later, unverified.
+        "current": Mode(_TORQUE, (0x1FE, 0x2FE), 16384, 16384 / 3.0, 0.741, temperature=True),
+        # Disputed: the full scale is 25000 in taproot, OneMotor and the manual, v1.4, 30000 in rm_control and
+        # iRM_Embedded, which older motors may have; 25000 gives too little there and never too much. Nobody says what
+        # the current in the feedback is counted in.
+        "voltage": Mode(_VOLTAGE, (0x1FF, 0x2FF), 25000, None, 0.741, temperature=True),
+    },
 }
+GM6020_RPM_PER_V: Final = 13.33  # the manual, v1.4, as public drivers quote it
+SUPPLY: Final = (18.0, 28.0)  # V; six cells, empty and full, and a power supply of 24 V
+_MODE: Final = one_of(MODES["gm6020"], "as it is set in DJI's tool, which CAN does not tell")
+_SUPPLY: Final = number(*SUPPLY, "V at the motor, of which a command is a share")
 
 
 class _Motor:
@@ -110,29 +139,32 @@ class _Motor:
         "fault",
         "heard_ns",
         "heard_until_ns",
+        "kind",
         "raw_limit",
         "raw_per_torque",
+        "raw_per_value",
         "rest_rpm",
         "slot",
         "spec",
         "speed_rpm",
+        "temperature",
         "temperature_c",
         "timeout_ns",
         "total_ticks",
         "twins",
-        "variant",
     )
 
-    def __init__(self, spec: MotorSpec) -> None:
-        variant = VARIANTS[spec.variant]
+    def __init__(self, spec: MotorSpec, slot: int) -> None:
+        mode = _mode(spec)
         self.spec = spec
-        self.variant = variant
-        self.slot = spec.id - 1
-        self.raw_per_torque = variant.raw_per_ampere / variant.torque_constant
-        ampere = min(spec.max_current, spec.max_torque / variant.torque_constant)
-        self.raw_limit = min(variant.raw_limit, int(ampere * variant.raw_per_ampere))
+        self.kind = mode.kind
+        self.temperature = mode.temperature
+        self.slot = slot
+        self.raw_per_torque = None if mode.raw_per_ampere is None else mode.raw_per_ampere / mode.torque_constant
+        self.raw_limit, self.raw_per_value = _scale(spec, mode)
         max_rpm = spec.max_speed / RAD_S_PER_RPM
-        self.braking_raw_per_rpm = self.raw_limit / (FULL_BRAKING * max_rpm)
+        # No voltage brakes by itself, and can never drive it the other way round.
+        self.braking_raw_per_rpm = 0.0 if mode.kind is _VOLTAGE else self.raw_limit / (FULL_BRAKING * max_rpm)
         self.command_period_ns = int(1e9 / spec.command_rate)
         self.rest_rpm = max(MIN_REST_RPM, REST * max_rpm)
         self.timeout_ns = feedback_timeout_ns(spec)
@@ -162,7 +194,7 @@ class _Motor:
         self.angle_ticks = angle_ticks
         self.speed_rpm = speed_rpm
         self.current_raw = current_raw
-        if self.variant.temperature:
+        if self.temperature:
             self.temperature_c = float(temperature)
         self.heard_ns = received_ns
         self.heard_until_ns = received_ns + self.timeout_ns
@@ -174,9 +206,13 @@ class _Motor:
         """Whether it is heard, and is one."""
         return now_ns < self.heard_until_ns and self.fault is None
 
-    def raw(self, torque: float) -> int:
-        """Current for a torque, within all limits."""
-        return self._limited(torque * self.raw_per_torque)
+    def takes(self, kind: CommandKind) -> bool:
+        """Whether this is a kind of command for it."""
+        return kind is self.kind or kind is _COAST or (kind is _BRAKE and self.kind is _VOLTAGE)
+
+    def raw(self, value: float) -> int:
+        """Current for a torque, or voltage, within all limits."""
+        return self._limited(value * self.raw_per_value)
 
     def braking_raw(self, held_ns: int, now_ns: int) -> int:
         """Current against the measured speed; `held_ns`: how long the last frame was, and so the next one may be."""
@@ -201,7 +237,7 @@ class _Motor:
                 state if now_ns < self.heard_until_ns else _SILENT,
                 self.total_ticks * RAD_PER_TICK,
                 self.speed_rpm * RAD_S_PER_RPM,
-                self.current_raw / self.raw_per_torque,
+                None if self.raw_per_torque is None else self.current_raw / self.raw_per_torque,
                 None,
                 self.temperature_c,
                 self.fault,
@@ -211,34 +247,51 @@ class _Motor:
         )
 
 
+class SharedFrame(NamedTuple):
+    """A command frame of four motors."""
+
+    id: int
+    first: int  # of its slots
+    fields: tuple[str, ...]
+    owners: tuple[str | None, ...]  # motors by slot; None: nobody's
+
+
+_TORQUES: Final = Capabilities(torque=True)
+_VOLTS: Final = Capabilities(voltage=True, brake=True, coast=False)
+_IN_WORDS: Final = {_TORQUE: "a torque in N m alone", _VOLTAGE: "a voltage in V alone, brake"}
+
+
 class DjiDriver:
-    """The C620 and C610 controllers of one bus."""
+    """The C620, C610 and GM6020 controllers of one bus."""
 
-    __slots__ = ("_bus", "_by_id", "_command_frames", "_motors", "_names", "_sent_ns", "_zero_frames")
+    __slots__ = ("_bus", "_by_id", "_command_frames", "_motors", "_sent_ns", "_slots", "_zero_frames")
 
-    variants: ClassVar[tuple[str, ...]] = tuple(VARIANTS)
+    variants: ClassVar[tuple[str, ...]] = tuple(MODES)
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
-        check_specs(motors, driver="dji", variants=self.variants, ids=IDS)
+        _check_numbers(motors)
         for motor in motors:
             if motor.watchdog_s is not None:
                 raise ValueError(f"motor {motor.name}: watchdog: a {motor.variant} has none; give watchdog_waiver")
-            check_options(motor, {}, of="driver dji")
-            check_bounds(motor, _turn_bounds(motor))
+            _check_options(motor)
+            check_bounds(motor, [*_turn_bounds(motor), *_voltage_bounds(motor)])
+            _check_torque(motor)
+        _check_feedback_ids(motors)
         self._bus = bus
-        self._motors = tuple(_Motor(motor) for motor in motors)
-        _check_torque(self._motors)
+        used = [at for at in COMMAND_IDS if any(_command_id(motor) == at for motor in motors)]
+        self._motors = tuple(
+            _Motor(motor, used.index(_command_id(motor)) * MOTORS_PER_FRAME + _place(motor)) for motor in motors
+        )
         self._sent_ns: int | None = None
-        self._names = {motor.spec.id: motor.spec.name for motor in self._motors}
-        self._by_id = {FEEDBACK_ID + motor.spec.id: motor for motor in self._motors}
-        used = sorted({motor.slot // MOTORS_PER_FRAME for motor in self._motors})
-        self._command_frames = tuple((COMMAND_IDS[group], group * MOTORS_PER_FRAME) for group in used)
-        self._zero_frames = [CanFrame(bus, identifier, bytes(8)) for identifier, _ in self._command_frames]
+        self._by_id = {_feedback_id(motor.spec): motor for motor in self._motors}
+        self._slots = len(used) * MOTORS_PER_FRAME
+        self._command_frames = tuple(_shared(at, first, self._motors) for first, at in enumerate(used))
+        self._zero_frames = [CanFrame(bus, shared.id, bytes(8)) for shared in self._command_frames]
 
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
-        """Torque only; braking is the host's speed loop."""
-        return (Capabilities(torque=True),) * len(self._motors)
+        """Torque alone, of which braking is the host's speed loop; or a voltage alone, of which none brakes."""
+        return tuple([_VOLTS if motor.kind is _VOLTAGE else _TORQUES for motor in self._motors])
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -249,17 +302,16 @@ class DjiDriver:
         return motor.take(data, bus, received_ns)
 
     def command(self, commands: Sequence[MotorCommand], *, now_ns: int) -> list[CanFrame]:
-        """The command frames; a motor that is not heard gets current 0."""
+        """The command frames; a motor that is not heard gets 0."""
         check_count(commands, self._motors)
-        raws = [0] * len(IDS)
+        raws = [0] * self._slots
         for motor, command in zip(self._motors, commands):
             kind, value = command.kind, command.value
-            torque = kind is _TORQUE
             alone = command.feed_forward == 0.0 and command.limit is None
-            if isnan(value) or not (torque or kind is _COAST) or not alone:
-                raise ValueError(f"motor {motor.spec.name}: {command}: must be a torque in N m alone, or coast")
-            motor.commanded = torque
-            if torque and motor.trusted(now_ns):
+            if isnan(value) or not motor.takes(kind) or not alone:
+                raise ValueError(f"motor {motor.spec.name}: {command}: must be {_IN_WORDS[motor.kind]}, or coast")
+            motor.commanded = kind is not _COAST
+            if kind is motor.kind and motor.trusted(now_ns):
                 raws[motor.slot] = motor.raw(value)
         return self._frames(raws, now_ns)
 
@@ -274,13 +326,13 @@ class DjiDriver:
             motor.twins.forget()
 
     def coast_frames(self) -> list[CanFrame]:
-        """Current 0 for every motor."""
+        """0 for every motor; without a voltage it is braked, which nothing on CAN can change."""
         return list(self._zero_frames)
 
     def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
-        """A braking current against the measured speed of each motor; 0 where it is not known, or stands."""
+        """No voltage, or a braking current against the measured speed; 0 where that is not known, or too small."""
         held_ns = 0 if self._sent_ns is None else now_ns - self._sent_ns
-        raws = [0] * len(IDS)
+        raws = [0] * self._slots
         for motor in self._motors:
             raws[motor.slot] = motor.braking_raw(held_ns, now_ns)
         return self._frames(raws, now_ns)
@@ -289,12 +341,10 @@ class DjiDriver:
         """A sent or received frame in words, or None when it is not of these motors, too short or impossible."""
         if frame.bus != self._bus or frame.extended or frame.remote or frame.fd or len(frame.data) < _COMMAND.size:
             return None
-        for identifier, first in self._command_frames:
-            if frame.id == identifier:
+        for shared in self._command_frames:
+            if frame.id == shared.id:
                 raws = _COMMAND.unpack_from(frame.data)
-                numbers = range(first + 1, first + 1 + len(raws))
-                fields = tuple((f"current_raw_{number}", raw) for number, raw in zip(numbers, raws, strict=True))
-                return DecodedFrame(None, "command", fields, tuple(map(self._names.get, numbers)))
+                return DecodedFrame(None, "command", tuple(zip(shared.fields, raws, strict=True)), shared.owners)
         motor = self._by_id.get(frame.id)
         if motor is None:
             return None
@@ -305,7 +355,7 @@ class DjiDriver:
 
     def traffic(self, *, loop_rate_hz: float) -> tuple[Traffic, ...]:
         """Command frames and the feedback of each motor."""
-        sent = [Traffic(f"command 0x{at:X}", False, 8, loop_rate_hz) for at, _ in self._command_frames]
+        sent = [Traffic(f"command 0x{shared.id:X}", False, 8, loop_rate_hz) for shared in self._command_frames]
         received = [
             Traffic(f"{motor.spec.name} feedback", False, 8, measuring_hz(motor.spec)) for motor in self._motors
         ]
@@ -318,22 +368,18 @@ class DjiDriver:
     def ids(self) -> tuple[IdUse, ...]:
         """The command frames, the feedback of each motor, and the one frame that would give the controllers new ids."""
         commands = [
-            (f"dji command of motor {', '.join(self._sharers(first))}", identifier)
-            for identifier, first in self._command_frames
+            (f"dji command of motor {', '.join(name for name in shared.owners if name is not None)}", shared.id)
+            for shared in self._command_frames
         ]
         feedback = [(f"dji feedback of motor {motor.spec.name}", at) for at, motor in self._by_id.items()]
         uses = (*commands, *feedback, ("dji setting of ids", AUTO_ID))
         return tuple(IdUse(user, identifier, 0x7FF, extended=False) for user, identifier in uses)
 
-    def _sharers(self, first: int) -> list[str]:
-        """Names of the motors in the command frame that begins with this slot."""
-        return [motor.spec.name for motor in self._motors if first <= motor.slot < first + MOTORS_PER_FRAME]
-
     def _frames(self, raws: Sequence[int], now_ns: int) -> list[CanFrame]:
         self._sent_ns = now_ns
         return [
-            data_frame(self._bus, identifier, _COMMAND.pack(*raws[first : first + MOTORS_PER_FRAME]))
-            for identifier, first in self._command_frames
+            data_frame(self._bus, shared.id, _COMMAND.pack(*raws[shared.first : shared.first + MOTORS_PER_FRAME]))
+            for shared in self._command_frames
         ]
 
 
@@ -345,11 +391,102 @@ def _feedback_values(data: bytes) -> tuple[int, int, int, int] | None:
     return None if angle_ticks >= TICKS else (angle_ticks, speed_rpm, current_raw, temperature)
 
 
-def _check_torque(motors: Sequence[_Motor]) -> None:
+def _mode(motor: MotorSpec) -> Mode:
+    """How this motor is spoken to."""
+    modes = MODES[motor.variant]
+    return modes[str(motor.options.get("mode", next(iter(modes))))]
+
+
+def _command_id(motor: MotorSpec) -> int:
+    return _mode(motor).command_ids[(motor.id - 1) // MOTORS_PER_FRAME]
+
+
+def _place(motor: MotorSpec) -> int:
+    """Among the four of its frame."""
+    return (motor.id - 1) % MOTORS_PER_FRAME
+
+
+def _feedback_id(motor: MotorSpec) -> int:
+    return FEEDBACK_ID[motor.variant] + motor.id
+
+
+def _scale(motor: MotorSpec, mode: Mode) -> tuple[int, float]:
+    """The largest raw value within all limits, and raw per N m or V. What a voltage does is for who commands it."""
+    if mode.raw_per_ampere is None:
+        return mode.raw_limit, mode.raw_limit / _supply(motor)
+    ampere = min(motor.max_current, motor.max_torque / mode.torque_constant)
+    return min(mode.raw_limit, int(ampere * mode.raw_per_ampere)), mode.raw_per_ampere / mode.torque_constant
+
+
+def _supply(motor: MotorSpec) -> float:
+    """V; checked before."""
+    return float(motor.options["supply"])
+
+
+def _shared(identifier: int, group: int, motors: Sequence[_Motor]) -> SharedFrame:
+    """The command frame of this id, in words of the first motor in it where a slot is nobody's."""
+    first = group * MOTORS_PER_FRAME
+    in_it = {motor.slot - first: motor for motor in motors if first <= motor.slot < first + MOTORS_PER_FRAME}
+    some = next(iter(in_it.values()))
+    fields = tuple(_field(in_it.get(place, some), identifier, place) for place in range(MOTORS_PER_FRAME))
+    names = tuple(in_it[place].spec.name if place in in_it else None for place in range(MOTORS_PER_FRAME))
+    return SharedFrame(identifier, first, fields, names)
+
+
+def _field(motor: _Motor, identifier: int, place: int) -> str:
+    """What the slot would be called if it were that of such a motor."""
+    number = _mode(motor.spec).command_ids.index(identifier) * MOTORS_PER_FRAME + place + 1
+    return f"{'voltage' if motor.kind is _VOLTAGE else 'current'}_raw_{number}"
+
+
+def _check_numbers(motors: Sequence[MotorSpec]) -> None:
+    """Controllers that are numbered alike may not share a number; of others the same number may be two."""
+    alike: dict[int, list[MotorSpec]] = {}
     for motor in motors:
-        if motor.raw_limit < 1:
-            step = f"{1e3 / motor.variant.raw_per_ampere:.2g} mA"
-            raise ValueError(f"motor {motor.spec.name}: max_current or max_torque allows less than {step}, one step")
+        alike.setdefault(FEEDBACK_ID.get(motor.variant, 0), []).append(motor)
+    for members in alike.values() if alike else [motors]:
+        ids = IDS.get(members[0].variant, range(1)) if members else range(1)
+        check_specs(members, driver="dji", variants=tuple(MODES), ids=ids)
+
+
+def _check_feedback_ids(motors: Sequence[MotorSpec]) -> None:
+    """Raise ValueError where a GM6020 answers as another controller does; so they would share a slot, too."""
+    owners: dict[int, MotorSpec] = {}
+    for motor in motors:
+        at = _feedback_id(motor)
+        other = owners.setdefault(at, motor)
+        if other is not motor:
+            raise ValueError(
+                f"motor {motor.name}: id = {motor.id}: a {motor.variant} of this id answers as 0x{at:X}, and so does "
+                f"motor {other.name}, a {other.variant} of id {other.id}: give one of them another id, or another bus"
+            )
+
+
+def _check_options(motor: MotorSpec) -> None:
+    """Raise ValueError unless a controller of several modes is told in which it is, and of which supply a volt is."""
+    if len(MODES[motor.variant]) == 1:
+        check_options(motor, {}, of="driver dji")
+    elif motor.options.get("mode") == "current":
+        check_options(motor, {"mode": _MODE}, of=f"a {motor.variant} in current mode")
+    else:
+        check_options(motor, {"mode": _MODE, "supply": _SUPPLY}, of=f"a {motor.variant} in voltage mode")
+
+
+def _check_torque(motor: MotorSpec) -> None:
+    mode = _mode(motor)
+    limit, _ = _scale(motor, mode)
+    if limit < 1 and mode.raw_per_ampere is not None:
+        step = f"{1e3 / mode.raw_per_ampere:.2g} mA"
+        raise ValueError(f"motor {motor.name}: max_current or max_torque allows less than {step}, one step")
+
+
+def _voltage_bounds(motor: MotorSpec) -> list[Bound]:
+    """No motor turns faster than its supply lets it, and what it cannot do it is not to be asked for."""
+    if _mode(motor).kind is not _VOLTAGE:
+        return []
+    volts = _supply(motor)
+    why = f"a {motor.variant} turns {GM6020_RPM_PER_V} rpm per volt without a load, and options.supply = {volts:g} V"
+    return [Bound("max_speed", motor.max_speed, 0.0, volts * GM6020_RPM_PER_V * RAD_S_PER_RPM, "rad/s", why)]
 
 
 def _turn_bounds(motor: MotorSpec) -> list[Bound]:

@@ -79,10 +79,10 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_brakes", "_features", "_kinematics", "_period", "_top_speeds", "_velocity"}
     ),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
-    "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_names", "_zero_frames"}),
+    "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(
-        {"braking_raw_per_rpm", "command_period_ns", "raw_limit", "raw_per_torque", "rest_rpm", "slot", "spec"}
-        | {"timeout_ns", "variant"}
+        {"braking_raw_per_rpm", "command_period_ns", "kind", "raw_limit", "raw_per_torque", "raw_per_value", "rest_rpm"}
+        | {"slot", "spec", "temperature", "timeout_ns"}
     ),
     "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
     "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_routes"}),

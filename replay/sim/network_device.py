@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 REOPEN_NS = 100_000_000
 
 _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK = 5, 0x7E0  # CANSimple: node id in the upper six bits
-_DJI_COMMANDS = ((0x200, 0x7FF), (0x1FF, 0x7FF))  # RoboMaster C610 manual, p. 8
+_DJI_COMMANDS = tuple((at, 0x7FF) for at in (0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE))  # C610 manual, p. 8; GM6020: taproot
 
 # What the controllers' own hardware filters let pass, (id, mask); without them foreign traffic would stall the world.
 HEARD: dict[str, Callable[[int], Sequence[tuple[int, int]]]] = {

@@ -1,7 +1,7 @@
 """What the driver tests share: motor specs, frames as text, and the smallest fake devices that answer by the book."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite, pi
 from struct import Struct, pack, unpack, unpack_from
 from types import MappingProxyType
@@ -34,7 +34,16 @@ ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
 }
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
 DRIVER_TYPES: dict[str, DriverType] = DRIVERS | {"reply_only": ReplyOnlyDriver}
-UNDER_CONTRACT = [*PAIRS, ("reply_only", "replier")]
+# Controllers that are set up in one of several modes: variant and options of each. Volts are those of 24.
+MODES: dict[str, tuple[str, Mapping[str, OptionValue]]] = {
+    "gm6020 current": ("gm6020", {"mode": "current"}),
+    "gm6020 voltage": ("gm6020", {"mode": "voltage", "supply": 24.0}),
+}
+UNDER_CONTRACT = [
+    *(pair for pair in PAIRS if pair[1] not in {variant for variant, _ in MODES.values()}),
+    *(("dji", mode) for mode in MODES),
+    ("reply_only", "replier"),
+]
 
 
 def spec(
@@ -45,9 +54,11 @@ def spec(
     watchdog_s: float | None = None,
     options: Mapping[str, OptionValue] = MappingProxyType({}),
 ) -> MotorSpec:
-    """A motor of 100 rad/s, 2 N m and 20 A."""
+    """A motor of 100 rad/s (in voltage mode 33), 2 N m and 20 A."""
     rate = None if variant in ReplyOnlyDriver.variants else 250.0
-    return MotorSpec(name or f"motor_{id}", id, variant, 100.0, 2.0, 20.0, rate, 250.0, watchdog_s, options)
+    top = 33.0 if variant == "gm6020 voltage" else 100.0
+    variant, modes = MODES.get(variant, (variant, options))
+    return MotorSpec(name or f"motor_{id}", id, variant, top, 2.0, 20.0, rate, 250.0, watchdog_s, options or modes)
 
 
 def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:
@@ -166,12 +177,13 @@ class FakeDji:
 
     id: int
     powered: bool = True
+    first: int = 0x200  # id 0 would answer so
 
     def answers(self, _frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
         """Feedback of this cycle."""
         if not self.powered:
             return []
-        return [CanFrame(BUS, 0x200 + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
+        return [CanFrame(BUS, self.first + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
 
 
 def claimed(able: Capabilities) -> set[CommandKind]:
@@ -247,17 +259,17 @@ def odrive_setpoints(frame: CanFrame) -> tuple[float, ...]:
 
 
 def dji_setpoints(frame: CanFrame) -> tuple[float, ...]:
-    """Current raw of the four slots."""
-    return unpack(">4h", frame.data) if frame.id in {0x200, 0x1FF} else ()
+    """Current or voltage raw of the four slots."""
+    return unpack(">4h", frame.data) if frame.id in {0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE} else ()
 
 
 def odrive_measurement(node: int, position: float, velocity: float) -> CanFrame:
     return CanFrame(BUS, node << 5 | 0x09, pack("<ff", position / (2 * pi), velocity / (2 * pi)))
 
 
-def dji_measurement(id: int, position: float, velocity: float) -> CanFrame:
+def dji_measurement(id: int, position: float, velocity: float, *, first: int = 0x200) -> CanFrame:
     ticks = int(position / (2 * pi) * 8192) % 8192
-    return CanFrame(BUS, 0x200 + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0))
+    return CanFrame(BUS, first + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0))
 
 
 @dataclass
@@ -330,8 +342,25 @@ RIGS: dict[str, Rig] = {
 }
 
 
+_GM6020 = replace(
+    RIGS["dji"],
+    bad_ids=(-1, 0, 8),
+    device=lambda id, _variant: FakeDji(id, first=0x204),
+    measurement=lambda id, position, velocity: dji_measurement(id, position, velocity, first=0x204),
+)
+_RIGS_OF_MODES: dict[str, Rig] = {
+    "gm6020 current": _GM6020,
+    "gm6020 voltage": replace(_GM6020, kinds=(CommandKind.VOLTAGE, CommandKind.BRAKE, CommandKind.COAST)),
+}
+
+
+def rig_of(driver: str, variant: str) -> Rig:
+    """How to test this variant, or a controller that is set up in this mode."""
+    return _RIGS_OF_MODES.get(variant, RIGS[driver])
+
+
 def bench(driver: str, variant: str) -> tuple[Bench, Rig]:
     """A driver of this variant on a bench of two motors."""
-    rig = RIGS[driver]
+    rig = rig_of(driver, variant)
     specs = rig.specs(variant)
     return Bench(DRIVER_TYPES[driver](BUS, specs), [rig.device(motor.id, variant) for motor in specs]), rig

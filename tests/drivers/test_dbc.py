@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.contract import CanFrame
-from drivers.dji import VARIANTS, DjiDriver
+from drivers.dji import DjiDriver
 from drivers.odrive.firmware import (
     CONTROLLER_ERRORS_05,
     ENCODER_ERRORS_05,
@@ -39,6 +39,7 @@ DATABASES = {
     "0.5": database(FOLDER / "odrive-cansimple-0.5.6.dbc"),
     "0.6": database(FOLDER / "odrive-cansimple-0.6.10.dbc"),
 }
+# Of ids 5 to 8, of a GM6020 in each mode, and what one of its ids says: public drivers (taproot, OneMotor).
 DJI_DBC = """VERSION ""
 BS_:
 BU_: HOST ESC
@@ -47,6 +48,20 @@ BO_ 512 Command: 8 HOST
  SG_ current_raw_2 : 23|16@0- (1,0) [0|0] "" ESC
  SG_ current_raw_3 : 39|16@0- (1,0) [0|0] "" ESC
  SG_ current_raw_4 : 55|16@0- (1,0) [0|0] "" ESC
+BO_ 767 Voltage_5_to_7: 8 HOST
+ SG_ voltage_raw_5 : 7|16@0- (0.00096,0) [0|0] "V" ESC
+ SG_ voltage_raw_6 : 23|16@0- (0.00096,0) [0|0] "V" ESC
+ SG_ voltage_raw_7 : 39|16@0- (0.00096,0) [0|0] "V" ESC
+BO_ 510 Current_1_to_4: 8 HOST
+ SG_ current_raw_1 : 7|16@0- (0.00018310546875,0) [0|0] "A" ESC
+ SG_ current_raw_2 : 23|16@0- (0.00018310546875,0) [0|0] "A" ESC
+ SG_ current_raw_3 : 39|16@0- (0.00018310546875,0) [0|0] "A" ESC
+ SG_ current_raw_4 : 55|16@0- (0.00018310546875,0) [0|0] "A" ESC
+BO_ 521 Feedback_5: 8 ESC
+ SG_ position : 7|16@0+ (0.0439453125,0) [0|0] "deg" HOST
+ SG_ speed : 23|16@0- (1,0) [0|0] "rpm" HOST
+ SG_ current : 39|16@0- (0.00018310546875,0) [0|0] "A" HOST
+ SG_ temperature : 55|8@0+ (1,0) [0|0] "degC" HOST
 BO_ 513 Feedback: 8 ESC
  SG_ angle_ticks : 7|16@0+ (1,0) [0|0] "" HOST
  SG_ speed_rpm : 23|16@0- (1,0) [0|0] "rpm" HOST
@@ -205,9 +220,52 @@ def test_dji_command(amperes: list[float]) -> None:
     driver = DjiDriver(BUS, [spec("c620", id=at) for at in range(1, 5)])
     for at in range(1, 5):
         driver.receive(CanFrame(BUS, 0x200 + at, bytes(8), received_ns=0))
-    constant = VARIANTS["c620"].torque_constant
-    commands = [MotorCommand(CommandKind.TORQUE, ampere * constant) for ampere in amperes]
+    commands = [MotorCommand(CommandKind.TORQUE, ampere * 0.3 * 187 / 3591) for ampere in amperes]
     (frame,) = driver.command(commands, now_ns=1)
     raws = numbers(DJI_DATABASE.get_message_by_frame_id(frame.id), frame.data)
     for at, ampere in enumerate(amperes, 1):
         assert raws[f"current_raw_{at}"] == pytest.approx(max(-20.0, min(20.0, ampere)) * 16384 / 20, abs=0.51)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-30.0, 30.0), min_size=3, max_size=3))
+def test_gm6020_voltage(volts: list[float]) -> None:
+    driver = DjiDriver(BUS, [spec("gm6020 voltage", id=at) for at in (5, 6, 7)])
+    for at in (5, 6, 7):
+        driver.receive(CanFrame(BUS, 0x204 + at, bytes(8), received_ns=0))
+    (frame,) = driver.command([MotorCommand(CommandKind.VOLTAGE, volt) for volt in volts], now_ns=1)
+    read = numbers(DJI_DATABASE.get_message_by_frame_id(frame.id), frame.data)
+    for at, volt in enumerate(volts, 5):
+        assert read[f"voltage_raw_{at}"] == pytest.approx(max(-24.0, min(24.0, volt)), abs=0.00049)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-4.0, 4.0), min_size=4, max_size=4))
+def test_gm6020_current(amperes: list[float]) -> None:
+    driver = DjiDriver(BUS, [spec("gm6020 current", id=at)._replace(max_torque=2.3) for at in range(1, 5)])
+    for at in range(1, 5):
+        driver.receive(CanFrame(BUS, 0x204 + at, bytes(8), received_ns=0))
+    commands = [MotorCommand(CommandKind.TORQUE, ampere * 0.741) for ampere in amperes]
+    (frame,) = driver.command(commands, now_ns=1)
+    read = numbers(DJI_DATABASE.get_message_by_frame_id(frame.id), frame.data)
+    for at, ampere in enumerate(amperes, 1):
+        assert read[f"current_raw_{at}"] == pytest.approx(max(-3.0, min(3.0, ampere)), abs=0.0001)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    angle=st.integers(0, 8191),
+    rpm=st.integers(-400, 400),
+    current=st.integers(-16384, 16384),
+    temperature=st.integers(0, 255),
+)
+def test_gm6020_feedback(angle: int, rpm: int, current: int, temperature: int) -> None:
+    values = {"position": angle * 360 / 8192, "speed": rpm, "current": current * 3 / 16384, "temperature": temperature}
+    frame = CanFrame(BUS, 0x209, DJI_DATABASE.encode_message("Feedback_5", values), received_ns=0)
+    for mode, torque in (("current", pytest.approx(current * 3 / 16384 * 0.741)), ("voltage", None)):
+        driver = DjiDriver(BUS, [spec(f"gm6020 {mode}", id=5)])
+        assert driver.receive(frame)
+        (feedback,) = driver.feedback(now_ns=0)
+        assert feedback.position == pytest.approx(angle * 2 * pi / 8192)
+        assert feedback.velocity == pytest.approx(rpm * 2 * pi / 60)
+        assert (feedback.torque, feedback.voltage, feedback.temperature_c) == (torque, None, temperature)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.contract import CanFrame, Capabilities, MotorState
+from drivers.contract import CanFrame, Capabilities, MotorSpec, MotorState, OptionValue
 from drivers.dji import DjiDriver
-from drivers.setpoint import COAST, CommandKind, MotorCommand
+from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.rig import BUS, MS, can_text, spec
 
 TICK = 2.0 * pi / 8192
@@ -253,3 +253,144 @@ def test_what_it_can_what_it_hears_and_which_ids_it_takes() -> None:
     numbered = tuple((f"current_raw_{number}", number - 4) for number in range(5, 9))
     assert driver.decode(frame) == (None, "command", numbered, ("e", None, None, None))
     assert driver.decode(frame._replace(bus="can1")) is None
+
+
+# -- GM6020 -----------------------------------------------------------------------------------------------------------
+
+
+def gm(mode: str, *, id: int, name: str = "") -> MotorSpec:
+    return spec(f"gm6020 {mode}", id=id, name=name)
+
+
+def test_every_id_and_mode_has_its_command_frame_its_slot_and_its_answer() -> None:
+    for mode, kind, first, second in (
+        ("voltage", CommandKind.VOLTAGE, 0x1FF, 0x2FF),
+        ("current", CommandKind.TORQUE, 0x1FE, 0x2FE),
+    ):
+        for id in range(1, 8):
+            driver = DjiDriver(BUS, [gm(mode, id=id)])
+            assert driver.receive_filters() == ((0x204 + id, 0x7FF, False),)
+            assert driver.receive(CanFrame(BUS, 0x204 + id, bytes(8), received_ns=0))
+            (frame,) = driver.command([MotorCommand(kind, 1e9)], now_ns=0)
+            slots = unpack(">4h", frame.data)
+            assert (frame.id, [place for place, raw in enumerate(slots) if raw]) == (
+                first if id <= 4 else second,
+                [(id - 1) % 4],
+            )
+
+
+def test_a_volt_is_a_share_of_the_supply() -> None:
+    for supply, raw in ((24.0, 12500), (20, 15000), (28.0, 10714)):
+        motor = gm("voltage", id=1)._replace(options={"mode": "voltage", "supply": supply}, max_speed=25.0)
+        driver = DjiDriver(BUS, [motor])
+        driver.receive(CanFrame(BUS, 0x205, bytes(8), received_ns=0))
+        (frame,) = driver.command([MotorCommand(CommandKind.VOLTAGE, 12.0)], now_ns=1)
+        assert frame.data == pack(">4h", raw, 0, 0, 0)
+
+
+def test_without_a_voltage_its_windings_brake_so_that_is_what_stops_and_releases_it() -> None:
+    driver = DjiDriver(BUS, [gm("voltage", id=3)])
+    driver.receive(CanFrame(BUS, 0x207, pack(">HhhBx", 0, 300, 0, 30), received_ns=0))
+    assert driver.capabilities == (Capabilities(voltage=True, brake=True, coast=False),)
+    for command, state in ((BRAKE, MotorState.OPERATIONAL), (COAST, MotorState.IDLE)):
+        assert driver.command([command], now_ns=0) == [CanFrame(BUS, 0x1FF, bytes(8))]
+        assert driver.feedback(now_ns=0)[0].state is state
+    assert driver.stop_frames(now_ns=0) == driver.coast_frames() == [CanFrame(BUS, 0x1FF, bytes(8))]
+
+
+def test_in_current_mode_a_stop_frame_brakes_against_the_speed() -> None:
+    """A quarter of 100 rad/s are 239 rpm, of which 100 brake with 42 % of what 2 N m need: raw 14741."""
+    driver = DjiDriver(BUS, [gm("current", id=2)])
+    driver.receive(CanFrame(BUS, 0x206, pack(">HhhBx", 0, 100, 0, 30), received_ns=0))
+    assert driver.capabilities == (Capabilities(torque=True),)
+    (frame,) = driver.stop_frames(now_ns=0)
+    assert (frame.id, unpack(">4h", frame.data)) == (0x1FE, (0, -6174, 0, 0))
+    with pytest.raises(ValueError, match=r"motor_2: .*BRAKE.*: must be a torque in N m alone, or coast"):
+        driver.command([BRAKE], now_ns=0)
+
+
+def test_turns_of_its_one_shaft_are_counted_from_its_absolute_angle() -> None:
+    driver = DjiDriver(BUS, [gm("voltage", id=1)])
+    for index in range(1000):
+        data = pack(">HhhBx", (6000 + 43 * index) % 8192, 315, 0, 30)
+        driver.receive(CanFrame(BUS, 0x205, data, received_ns=index * MS))
+    assert position_ticks(driver) == 6000 + 43 * 999
+    anew = DjiDriver(BUS, [gm("voltage", id=1)])
+    anew.receive(CanFrame(BUS, 0x205, pack(">HhhBx", (6000 + 43 * 999) % 8192, 0, 0, 30), received_ns=0))
+    assert position_ticks(anew) == (6000 + 43 * 999) % 8192
+
+
+@pytest.mark.parametrize(
+    ("gimbal", "wheel"), [(("voltage", 1), ("c620", 5)), (("voltage", 4), ("c610", 8)), (("current", 2), ("c620", 6))]
+)
+def test_a_gm6020_that_answers_as_another_is_refused_in_words(gimbal: tuple[str, int], wheel: tuple[str, int]) -> None:
+    mode, id = gimbal
+    variant, other = wheel
+    motors = [gm(mode, id=id, name="yaw"), spec(variant, id=other, name="wheel")]
+    words = (
+        rf"motor wheel: id = {other}: a {variant} of this id answers as 0x{0x204 + id:X}, and so does motor yaw, "
+        rf"a gm6020 of id {id}: give one of them another id, or another bus"
+    )
+    with pytest.raises(ValueError, match=words):
+        DjiDriver(BUS, motors)
+    with pytest.raises(ValueError, match=rf"motor yaw: id = {id}: a gm6020 .*, and so does motor wheel, a {variant}"):
+        DjiDriver(BUS, motors[::-1])
+
+
+def test_controllers_of_every_kind_share_a_bus_where_no_two_answer_alike() -> None:
+    """A GM6020 in voltage mode and a C620 even share a frame, of which each has slots of its own."""
+    motors = [
+        *(spec("c620", id=1, name="a"), spec("c610", id=6, name="b"), gm("voltage", id=1, name="c")),
+        *(gm("current", id=3, name="d"), gm("voltage", id=6, name="e"), gm("current", id=7, name="f")),
+    ]
+    driver = DjiDriver(BUS, motors)
+    for at in (0x201, 0x206, 0x205, 0x207, 0x20A, 0x20B):
+        assert driver.receive(CanFrame(BUS, at, bytes(8), received_ns=0))
+    torques, volts = (0.3 * 187 / 3591, 0.005, 0.741), MotorCommand(CommandKind.VOLTAGE, 2.4)
+    one, two, three = [MotorCommand(CommandKind.TORQUE, torque) for torque in torques]
+    commands = [one, two, volts, three, volts, three]
+    frames = driver.command(commands, now_ns=1)
+    assert [can_text(frame) for frame in frames] == [
+        "200#0333000000000000",
+        "1FF#09C403E800000000",
+        "2FF#000009C400000000",
+        "1FE#0000000015550000",
+        "2FE#0000000015550000",
+    ]
+    words = [driver.decode(frame) for frame in frames]
+    assert [word.owners for word in words if word is not None] == [
+        *(("a", None, None, None), ("c", "b", None, None), (None, "e", None, None)),
+        *((None, None, "d", None), (None, None, "f", None)),
+    ]
+    shared = words[1]
+    assert shared is not None
+    assert [name for name, _ in shared.fields] == ["voltage_raw_1", "current_raw_6", "current_raw_7", "current_raw_8"]
+    assert driver.ids()[1] == ("dji command of motor c, b", 0x1FF, 0x7FF, False)
+
+
+def test_what_it_has_to_be_told() -> None:
+    def made(**options: OptionValue) -> DjiDriver:
+        return DjiDriver(BUS, [gm("voltage", id=1)._replace(options=options)])
+
+    made(mode="voltage", supply=24)
+    made(mode="current")
+    for options, words in (
+        ({}, r"motor_1: options.mode is missing: must be 'current' or 'voltage', as it is set in DJI's tool"),
+        ({"mode": "speed"}, r"motor_1: options.mode = 'speed': must be 'current' or 'voltage'"),
+        ({"mode": "voltage"}, r"motor_1: options.supply is missing: must be 18 to 28 V at the motor"),
+        ({"mode": "voltage", "supply": 48.0}, r"motor_1: options.supply = 48.0: must be 18 to 28 V"),
+        (
+            {"mode": "current", "supply": 24.0},
+            r"options.supply = 24.0: no such option; a gm6020 in current mode has mode$",
+        ),
+    ):
+        with pytest.raises(ValueError, match=words):
+            made(**options)
+
+
+def test_no_motor_turns_faster_than_its_supply_lets_it() -> None:
+    motor = gm("voltage", id=1)
+    DjiDriver(BUS, [motor._replace(max_speed=33.5)])
+    words = r"motor_1: max_speed = 33.6: must be 0 to 33.5019 rad/s: a gm6020 turns 13.33 rpm per volt .*supply = 24 V"
+    with pytest.raises(ValueError, match=words):
+        DjiDriver(BUS, [motor._replace(max_speed=33.6)])

@@ -6,10 +6,10 @@ import pytest
 
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.rig import UNDER_CONTRACT, claimed
-from tests.drivers.shop import FRICTION, ON_THE_GROUND, Shop, kind_of
+from tests.drivers.shop import FRICTION, GOING, ON_THE_GROUND, Shop, kind_of
 
 every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
-VELOCITY, TORQUE = CommandKind.VELOCITY, CommandKind.TORQUE
+VELOCITY, TORQUE, VOLTAGE = CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.VOLTAGE
 
 
 def reaches_its_velocity(shop: Shop) -> None:
@@ -24,9 +24,18 @@ def gives_its_torque(shop: Shop) -> None:
         assert shop.torque == pytest.approx(torque, abs=2e-5)  # half a step of a C610 is 2.5e-6, of a C620 1e-5
 
 
+def gives_its_voltage(shop: Shop) -> None:
+    """Without a load 13.33 rpm per volt, of which this friction takes 0.65 rad/s."""
+    for volts in (12.0, -6.0):
+        shop.drive(MotorCommand(VOLTAGE, volts), ms=6_000)
+        assert shop.shaft.velocity / shop.gear == pytest.approx(volts * 1.396, rel=0.1)
+        assert abs(shop.shaft.velocity / shop.gear) < abs(volts) * 1.396
+
+
 def comes_to_rest(shop: Shop) -> None:
+    """By its own speed loop within a second; shorted windings brake in proportion to the speed."""
     set_going(shop)
-    shop.drive(BRAKE, ms=1_000)
+    shop.drive(BRAKE, ms=1_000 if shop.driver.capabilities[0].velocity else 4_000)
     assert abs(shop.shaft.velocity) < 1.0
 
 
@@ -35,19 +44,33 @@ def rolls_on_alone(shop: Shop) -> None:
     shop.drive(COAST, ms=20)
     before = shop.shaft.velocity
     assert before > 50.0
+    if not shop.driver.capabilities[0].coast:
+        is_dragged_while_it_turns(shop, before)
+        return
     shop.drive(COAST, ms=500)
     assert shop.torque == 0.0
     assert shop.shaft.velocity == pytest.approx(before - 0.5 * FRICTION / ON_THE_GROUND)
 
 
+def is_dragged_while_it_turns(shop: Shop, before: float) -> None:
+    shop.work = 0.0
+    shop.drive(COAST, ms=500)
+    assert shop.torque < -FRICTION
+    assert 0.0 < shop.shaft.velocity < before - FRICTION / ON_THE_GROUND
+    shop.drive(COAST, ms=4_000)
+    assert shop.shaft.velocity == shop.torque == 0.0
+    assert shop.work == 0.0
+
+
 def set_going(shop: Shop) -> None:
     kind = kind_of(shop.driver)
-    shop.arm(kind, 200.0 if kind is VELOCITY else 0.02)
+    shop.arm(kind, 200.0 if kind is VELOCITY else GOING[kind])
 
 
 OBEYED: dict[CommandKind, Callable[[Shop], None]] = {
     CommandKind.VELOCITY: reaches_its_velocity,
     CommandKind.TORQUE: gives_its_torque,
+    CommandKind.VOLTAGE: gives_its_voltage,
     CommandKind.BRAKE: comes_to_rest,
     CommandKind.COAST: rolls_on_alone,
 }

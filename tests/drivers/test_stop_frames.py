@@ -9,7 +9,7 @@ from drivers.dji import FULL_BRAKING_NS, DjiDriver
 from drivers.setpoint import CommandKind, MotorCommand
 from replay.sim.controllers.contract import Shaft
 from tests.drivers.rig import BUS, MS, UNDER_CONTRACT, spec
-from tests.drivers.shop import LIFTED, ON_THE_GROUND, Shop, kind_of
+from tests.drivers.shop import GOING, LIFTED, ON_THE_GROUND, Shop, kind_of
 
 every_variant = pytest.mark.parametrize(("driver", "variant"), UNDER_CONTRACT)
 PERIODS = (2, 4, 10, 20, 100)  # ms; loops of 500 to 10 Hz
@@ -23,8 +23,8 @@ def test_stop_frames_bring_a_running_motor_to_rest(
     driver: str, variant: str, period_ms: int, inertia: float, direction: float
 ) -> None:
     shop = Shop(driver, variant, inertia=inertia, speed=0.0, period_ms=period_ms)
-    velocity = kind_of(shop.driver) is CommandKind.VELOCITY
-    shop.arm(kind_of(shop.driver), direction * (400.0 if velocity else 0.02))
+    kind = kind_of(shop.driver)
+    shop.arm(kind, direction * GOING[kind])
     running, shop.work = abs(shop.shaft.velocity), 0.0
     assert running > 50.0
     shop.stop(ms=4_000 if period_ms < 20 else 12_000)  # the longer a current may be held, the weaker it is

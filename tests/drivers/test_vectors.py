@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivers.dji import VARIANTS, DjiDriver
+from drivers.contract import MotorSpec
+from drivers.dji import DjiDriver
 from drivers.odrive.axis import Axis
 from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import COAST, CommandKind, MotorCommand
@@ -27,7 +28,7 @@ ODRIVE = [
     for variant in vector["variants"]
 ]
 DJI = [pytest.param(vector, id=vector["name"]) for vector in load("dji")]
-DJI_COMMANDS = [pytest.param(vector, id=vector["name"]) for vector in load("dji") if "amperes" in vector]
+DJI_COMMANDS = [pytest.param(vector, id=vector["name"]) for vector in load("dji") if {"amperes", "volts"} & set(vector)]
 DJI_FEEDBACK = [pytest.param(vector, id=vector["name"]) for vector in load("dji") if "position" in vector]
 
 
@@ -59,10 +60,25 @@ def test_every_message_that_bringup_sends_has_a_vector() -> None:
     assert {vector["message"] for vector in load("odrive")} >= SENT
 
 
+NM_PER_A = {"c620": 0.3 * 187 / 3591, "c610": 0.18 / 36, "gm6020": 0.741}
+FIRST_ANSWER = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}
+
+
+def dji_spec(vector: dict[str, Any], motor: int) -> MotorSpec:
+    """Of a motor of this vector."""
+    variant, mode = vector["variant"], vector.get("mode")
+    return spec(variant if mode is None else f"{variant} {mode}", id=motor)
+
+
+def asked(vector: dict[str, Any]) -> dict[int, float]:
+    """Amperes or volts by motor."""
+    return {int(motor): value for motor, value in (vector.get("amperes") or vector.get("volts") or {}).items()}
+
+
 @pytest.mark.parametrize("vector", DJI)
 def test_dji_bytes_to_values(vector: dict[str, Any]) -> None:
-    motor = vector.get("motor") or int(next(iter(vector["amperes"])))
-    decoded = DjiDriver(BUS, [spec(vector["variant"], id=motor)]).decode(can_frame(vector["frame"]))
+    motor = vector.get("motor") or next(iter(asked(vector)))
+    decoded = DjiDriver(BUS, [dji_spec(vector, motor)]).decode(can_frame(vector["frame"]))
     assert decoded is not None
     assert decoded.message == vector["message"]
     assert dict(decoded.fields) == vector["fields"]
@@ -70,23 +86,25 @@ def test_dji_bytes_to_values(vector: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("vector", DJI_COMMANDS)
 def test_dji_values_to_bytes(vector: dict[str, Any]) -> None:
-    constant = VARIANTS[vector["variant"]].torque_constant
-    amperes = {int(identifier): value for identifier, value in vector["amperes"].items()}
-    driver = DjiDriver(BUS, [spec(vector["variant"], id=identifier) for identifier in amperes])
-    for identifier in amperes:
-        driver.receive(can_frame(f"{0x200 + identifier:03X}#0000000000000000", received_ns=0))
-    commands = [MotorCommand(CommandKind.TORQUE, value * constant) for value in amperes.values()]
+    values, variant = asked(vector), vector["variant"]
+    # Those of a vector may ask for all that the controller can.
+    driver = DjiDriver(BUS, [dji_spec(vector, motor)._replace(max_torque=2.3) for motor in values])
+    for motor in values:
+        assert driver.receive(can_frame(f"{FIRST_ANSWER[variant] + motor:03X}#0000000000000000", received_ns=0))
+    kind, scale = (CommandKind.VOLTAGE, 1.0) if "volts" in vector else (CommandKind.TORQUE, NM_PER_A[variant])
+    commands = [MotorCommand(kind, value * scale) for value in values.values()]
     assert [can_text(frame) for frame in driver.command(commands, now_ns=1)] == [vector["frame"]]
 
 
 @pytest.mark.parametrize("vector", DJI_FEEDBACK)
 def test_dji_feedback_in_si(vector: dict[str, Any]) -> None:
-    driver = DjiDriver(BUS, [spec(vector["variant"], id=vector["motor"])])
+    driver = DjiDriver(BUS, [dji_spec(vector, vector["motor"])])
     driver.command([COAST], now_ns=0)
     assert driver.receive(can_frame(vector["frame"], received_ns=0))
     (feedback,) = driver.feedback(now_ns=7)
     assert feedback.position == pytest.approx(vector["position"], rel=1e-9)
     assert feedback.velocity == pytest.approx(vector["velocity"], rel=1e-9)
-    assert feedback.torque == pytest.approx(vector["torque"], rel=1e-4)
+    torque = vector.get("torque")  # None where the controller does not say in what it counts
+    assert feedback.torque == (None if torque is None else pytest.approx(torque, rel=1e-4))
     assert feedback.temperature_c == vector.get("temperature_c")
     assert (feedback.voltage, feedback.age_ns) == (None, 7)

@@ -1,4 +1,4 @@
-"""The simulated C620 and C610 against the manuals' tables: bytes, scales, wrap, faults."""
+"""The simulated C620, C610 and GM6020 against the manuals' tables: bytes, scales, wrap, faults."""
 
 from math import pi
 from struct import pack, unpack
@@ -171,7 +171,83 @@ def test_frozen_encoder_repeats_the_angle_at_zero_speed() -> None:
     assert unpack(">Hh", feedback(simulated).data[:4]) == (4096, 0)
 
 
-@pytest.mark.parametrize(("motor_id", "variant"), [(0, "c620"), (9, "c620"), (1, "gm6020")])
+@pytest.mark.parametrize(("motor_id", "variant"), [(0, "c620"), (9, "c620"), (1, "c630"), (8, "gm6020"), (1, "gm6020")])
 def test_wrong_setup_names_the_motor(motor_id: int, variant: str) -> None:
     with pytest.raises(ValueError, match="motor motor"):
         SimulatedDji(SETUP._replace(id=motor_id, variant=variant))
+
+
+# -- GM6020: 0.741 N m/A, 13.33 rpm/V, 156 rpm per N m, so 8.672 ohm as its torque-speed line has it ------------------
+
+
+def gm6020(mode: str, motor_id: int = 2, supply: float = 24.0) -> SimulatedDji:
+    simulated = SimulatedDji(
+        SETUP._replace(id=motor_id, variant="gm6020", options={"mode": mode, "supply": supply}, max_torque=1.2)
+    )
+    simulated.start(Shaft(0.0, 0.0), 0)
+    return simulated
+
+
+def told(simulated: SimulatedDji, identifier: int, raw: int, *, rpm: float) -> float:
+    """Torque of a command in the second slot at this speed."""
+    simulated.receive(CanFrame("can0", identifier, pack(">4h", 0, raw, 0, 0)), 0)
+    return simulated.step(Shaft(0.0, rpm * RPM), STEP_NS)
+
+
+def test_golden_voltage_is_half_of_the_supply() -> None:
+    simulated = gm6020("voltage")
+    simulated.receive(CanFrame("can0", 0x1FF, bytes.fromhex("000030D400000000")), 0)
+    assert simulated.step(Shaft(0.0, 0.0), STEP_NS) == pytest.approx(0.741 * 12.0 / 8.672, rel=1e-3)
+    assert simulated.step(Shaft(0.0, 12.0 * 13.33 * RPM), STEP_NS) == pytest.approx(0.0, abs=1e-9)
+    assert gm6020("voltage", supply=20.0)._supply == 20.0
+
+
+def test_the_line_of_the_data_sheet() -> None:
+    """All of the supply: 320 rpm without a load, 156 rpm less for each N m, so 1.2 N m at 132 rpm."""
+    simulated = gm6020("voltage")
+    assert told(simulated, 0x1FF, 25000, rpm=132.8) == pytest.approx(1.2, abs=0.002)
+    assert told(simulated, 0x1FF, 25000, rpm=164.0) == pytest.approx(1.0, abs=0.002)
+    assert told(simulated, 0x1FF, 32767, rpm=164.0) == pytest.approx(1.0, abs=0.002)
+    assert told(simulated, 0x1FF, -25000, rpm=-164.0) == pytest.approx(-1.0, abs=0.002)
+
+
+def test_no_voltage_brakes_and_never_drives() -> None:
+    simulated = gm6020("voltage")
+    for rpm in (-300.0, -10.0, 10.0, 300.0):
+        assert told(simulated, 0x1FF, 0, rpm=rpm) == pytest.approx(-rpm / 156.0, rel=1e-3)
+
+
+def test_the_current_stays_within_the_scale_of_the_controller() -> None:
+    simulated = gm6020("voltage")
+    assert told(simulated, 0x1FF, 25000, rpm=-320.0) == 3.0 * 0.741
+    assert unpack(">h", feedback(simulated).data[4:6])[0] == 16384
+
+
+def test_a_current_is_given_as_far_as_the_supply_goes() -> None:
+    simulated = gm6020("current")
+    assert told(simulated, 0x1FE, 8192, rpm=0.0) == pytest.approx(1.5 * 0.741)
+    assert told(simulated, 0x1FE, 8192, rpm=240.0) == pytest.approx(80.0 / 156.0, rel=1e-2)
+    assert told(simulated, 0x1FE, 32767, rpm=-200.0) == 3.0 * 0.741
+    assert told(simulated, 0x1FE, 0, rpm=300.0) == 0.0, "it rolls on"
+
+
+@pytest.mark.parametrize(
+    ("mode", "motor_id", "own"),
+    [("voltage", 2, 0x1FF), ("voltage", 6, 0x2FF), ("current", 2, 0x1FE), ("current", 6, 0x2FE)],
+)
+def test_it_hears_the_frame_of_its_mode_and_answers_by_its_id(mode: str, motor_id: int, own: int) -> None:
+    simulated = gm6020(mode, motor_id)
+    for identifier in (0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE):
+        simulated = gm6020(mode, motor_id)
+        assert (told(simulated, identifier, 5000, rpm=0.0) > 0.0) == (identifier == own)
+    frame = feedback(simulated)
+    assert (frame.id, len(frame.data), frame.data[7]) == (0x204 + motor_id, 8, 0)
+
+
+def test_a_volt_is_held_for_ever_too() -> None:
+    simulated = gm6020("voltage")
+    torque = told(simulated, 0x1FF, 5000, rpm=0.0)
+    simulated.unplug()
+    assert told(simulated, 0x1FF, 0, rpm=0.0) == torque
+    simulated.power_off()
+    assert simulated.step(Shaft(0.0, 10.0), STEP_NS) == 0.0, "without a supply nothing shorts the windings"
