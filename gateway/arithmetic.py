@@ -49,7 +49,6 @@ _HALF_ROOT: Final = 0.7071067811865476
 _LN2_HIGH: Final = 0.6931471803691238  # 33 bits: its product with an exponent is exact
 _LN2_LOW: Final = 1.9082149292705877e-10
 _PER_LN2: Final = 1.4426950408889634
-_ODD_FROM_ABOVE: Final = (23.0, 21.0, 19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0)
 
 
 def sin_cos(x: float) -> tuple[float, float]:
@@ -73,13 +72,13 @@ def sin_cos(x: float) -> tuple[float, float]:
 def angle_of(y: float, x: float) -> float:
     """Angle of the vector (x, y), rad in -pi to pi, within 4e-16: `math.atan2` of finite numbers, zeros included."""
     height, width = abs(y), abs(x)
-    if height == 0.0 and width == 0.0:
-        angle = 0.0
-    elif height <= width:
-        angle = _of_slope(height, width)
+    if height > width:
+        angle = 0.5 * pi - _of_slope(width / height)
     else:
-        angle = 0.5 * pi - _of_slope(width, height)
-    return copysign(pi - angle if copysign(1.0, x) < 0.0 else angle, y)
+        angle = _of_slope(height / width) if width > 0.0 else 0.0
+    if x < 0.0 or (x == 0.0 and copysign(1.0, x) < 0.0):
+        angle = pi - angle
+    return angle if y > 0.0 else copysign(angle, y)
 
 
 def arcsine(x: float) -> float:
@@ -96,9 +95,10 @@ def logarithm(x: float) -> float:
     if mantissa < _HALF_ROOT:
         mantissa, exponent = 2.0 * mantissa, exponent - 1
     z = (mantissa - 1.0) / (mantissa + 1.0)  # ln m = 2 (z + z^3/3 + z^5/5 ...), |z| below 0.172
-    square, series = z * z, 0.0
-    for odd in _ODD_FROM_ABOVE:
-        series = square * (1.0 / odd + series)
+    square = z * z
+    series = 1.0 / 17.0 + square * (1.0 / 19.0 + square * (1.0 / 21.0 + square * (1.0 / 23.0)))
+    series = 1.0 / 9.0 + square * (1.0 / 11.0 + square * (1.0 / 13.0 + square * (1.0 / 15.0 + square * series)))
+    series = square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0 + square * series)))
     return exponent * _LN2_HIGH + (2.0 * z + (2.0 * z * series + exponent * _LN2_LOW))
 
 
@@ -116,11 +116,10 @@ def exponential(x: float) -> float:
     return (1.0 + series) * scale if power >= 0 else (1.0 + series) / scale
 
 
-def _of_slope(height: float, width: float) -> float:
+def _of_slope(slope: float) -> float:
     """Angle of a vector in the first eighth."""
-    slope = height / width
     guess = slope * (_EIGHTH + 0.273 * (1.0 - slope))  # within 4 mrad
-    sine, cosine = sin_cos(guess)
+    sine, cosine = _of_remainder(guess, 0.0)
     left = (slope * cosine - sine) / (cosine + slope * sine)
     square = left * left
     return guess + left * (1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0)))

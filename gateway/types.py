@@ -270,14 +270,7 @@ class SourceStatus(NamedTuple):
     reason: str | None
 
 
-class ChassisState(NamedTuple):
-    """What a chassis of one kind knows of itself: facts by name for `state`, numbers for plots (its own channels)."""
-
-    facts: dict[str, float | str | bool | None]
-    numbers: tuple[float | None, ...]
-
-
-NO_STATE = ChassisState({}, ())
+Facts = dict[str, float | str | bool | None]  # what only a kind of chassis knows of itself, by name, for `state`
 
 
 class EffectiveMotors(NamedTuple):
@@ -346,7 +339,7 @@ class Status(NamedTuple):
     dropped_records: int
     cycle: int
     ability: AbilityStatus
-    chassis: dict[str, float | str | bool | None]  # what only this kind of chassis knows of itself
+    chassis: Facts
     sensors: tuple[SensorStatus, ...] = ()
     settings: tuple[SettingStatus, ...] = ()
 
@@ -372,7 +365,7 @@ class Trace(NamedTuple):
     winner_age_s: float | None
     residual: float | None
     residuals: tuple[float | None, ...] | None  # m/s at the rim of each wheel; None where they carry no redundancy
-    chassis: tuple[float | None, ...] = ()  # by the channels of its kind
+    chassis: tuple[float | None, ...] = ()  # numbers that its drive law tells, for the channels of its kind
     more: tuple[AxisTrace, ...] = ()  # axes of the kinematics beyond the twist
     heading: float | None = None  # rad, as the sensor tells it
     attitude: Attitude | None = None

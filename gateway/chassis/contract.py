@@ -1,6 +1,6 @@
 """What every chassis says of itself: one file here, its section of the robot file and all that follows from it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar, NamedTuple, Protocol
 
 from gateway.control.drive_law import DriveLaw
@@ -10,6 +10,7 @@ from gateway.sections import Body
 from gateway.types import Rates
 
 Point = tuple[float, float]
+Numbers = tuple[float | None, ...]
 
 
 class DrawnWheel(NamedTuple):
@@ -53,15 +54,17 @@ class LoopLimit(NamedTuple):
 
 
 class ChassisChannels(NamedTuple):
-    """Numbers that only this kind of chassis has, in the order in which its law tells them: names, unit and plot.
+    """Numbers that only this kind of chassis has: names, unit and plot.
 
-    Without an entity they are not plotted, only told by `replay trace` and `watch --channels`.
+    Without an entity they are not plotted, only told by `replay trace` and `watch --channels`. `read`: them from the
+    numbers that its law tells in each cycle; what nobody plots is better made here than in each cycle.
     """
 
     entity: str
     names: tuple[str, ...]
     unit: str
     plot: str
+    read: Callable[[Numbers], Numbers]
 
 
 class Trailing(NamedTuple):
@@ -88,7 +91,6 @@ class Chassis(Protocol):
     """A section of the robot file with kind, name, body and geometry, frozen."""
 
     GEOMETRY: ClassVar[str]  # the keys of the geometry, in words
-    CHANNELS: ClassVar[tuple[ChassisChannels, ...]]
     AXES: ClassVar[tuple[str, ...]]  # of its kinematics; limits of the robot file name each of them
 
     @property
@@ -108,6 +110,10 @@ class Chassis(Protocol):
 
     def trailing(self) -> Trailing | None:
         """How its chassis trails, which paths have to respect; None: every direction is one to it."""
+        ...
+
+    def channels(self) -> tuple[ChassisChannels, ...]:
+        """What of itself people look at; none for a chassis like any other."""
         ...
 
     def law(self, parts: LawParts) -> DriveLaw:

@@ -8,11 +8,12 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Trailing
+from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Numbers, Trailing
 from gateway.control.compensation import WHOLE_CIRCLE, Compensation, RegionAt, longest_period, region_refusal
 from gateway.control.drive_law import SpeedLaw
 from gateway.control.manoeuvre import Form, Limits
 from gateway.control.offset_law import Geometry, OffsetDifferentialLaw
+from gateway.control.pull_region import flip_way
 from gateway.control.region_policy import RegionPolicy
 from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
@@ -91,12 +92,6 @@ class ManoeuvreConfig(Section):
 class OffsetDifferentialRobot(Section):
     """Two driven wheels whose axle lies `axle_offset` behind a driven platform joint (MOBY, Otbot)."""
 
-    CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = (
-        ChassisChannels(
-            "angles", ("gamma", "gamma_goal", "gamma_error", "correction"), "rad", "Chassis to motion [rad]"
-        ),
-        ChassisChannels("", ("flip_way", "flip_time"), "m, s", ""),
-    )
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
 
@@ -128,6 +123,21 @@ class OffsetDifferentialRobot(Section):
     def trailing(self) -> Trailing:
         """By the platform joint, pulled where it is compensated."""
         return Trailing(PLATFORM, self.axle_offset, pulled=self.compensation is not None)
+
+    def channels(self) -> tuple[ChassisChannels, ...]:
+        """How the chassis lies in its motion; way and time until it flips, on a path that goes on as it is."""
+        angles, flip = ("gamma", "gamma_goal", "gamma_error", "correction"), ("flip_way", "flip_time")
+        return (
+            ChassisChannels("angles", angles, "rad", "Chassis to motion [rad]", lambda numbers: numbers[:4]),
+            ChassisChannels("", flip, "m, s", "", self._flip_ahead),
+        )
+
+    def _flip_ahead(self, numbers: Numbers) -> Numbers:
+        gamma, _, error, _, speed, path_rate = numbers
+        if gamma is None or error is None or speed is None or path_rate is None:
+            return (None, None)
+        way = flip_way(gamma, error, speed=speed, path_rate=path_rate, axle_offset=self.axle_offset)
+        return (way, None if way is None else way / speed)
 
     def law(self, parts: LawParts) -> OffsetDifferentialLaw:
         """Pulled where the robot file asks for it, and slow enough for a flip where the motors have limits."""

@@ -54,7 +54,6 @@ class OmniWheel(Section):
 class OmniRobot(Section):
     """n omni wheels at arbitrary poses."""
 
-    CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = ()
     GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
 
@@ -73,6 +72,10 @@ class OmniRobot(Section):
 
     def trailing(self) -> None:
         """It does not."""
+
+    def channels(self) -> tuple[ChassisChannels, ...]:
+        """None of its own."""
+        return ()
 
     def law(self, parts: LawParts) -> SpeedLaw:
         """Every wheel at its speed."""

@@ -22,6 +22,7 @@ from gateway.control.pull_region import LEAST_SPEED, Pull, examine
 WHOLE_CIRCLE: Final = 3.142  # rad, a region with every error in it: pi as people write it
 _FOUR_DIGITS: Final = 5e-4  # a bound is told with so many: the most that they are off by
 _DELAY_SLOPE: Final = 1.9  # a twentieth below the slope of the limit where it ends
+_LEAST_SQUARE: Final = LEAST_SPEED * LEAST_SPEED
 _PATH_RATE_TIME: Final = 0.1  # s, over which the rate of a path that nobody tells is averaged
 
 
@@ -91,18 +92,20 @@ class PathRate:
 
     def of(self, vx: float, vy: float, wz: float, dt: float) -> float:
         """rad/s: the platform's own rate and that of the direction within it. Starts anew from rest."""
-        square = vx * vx + vy * vy
-        if square < LEAST_SPEED * LEAST_SPEED or dt <= 0.0:
+        if vx * vx + vy * vy < _LEAST_SQUARE or dt <= 0.0:
             if dt > 0.0:
                 self._direction, self._turning = None, 0.0
             return wz
         before, self._direction = self._direction, (vx, vy)
+        turning = self._turning
         if before is not None:
-            cross, along = before[0] * vy - before[1] * vx, before[0] * vx + before[1] * vy
+            x, y = before
+            along = x * vx + y * vy
             if along > 0.0:  # else it has turned back, which is no turn at any rate
-                share = min(1.0, dt / _PATH_RATE_TIME)
-                self._turning += share * (cross / along / dt - self._turning)
-        return wz + self._turning
+                share = dt / _PATH_RATE_TIME
+                rate = (x * vy - y * vx) / along / dt
+                self._turning = turning = turning + (share if share < 1.0 else 1.0) * (rate - turning)
+        return wz + turning
 
 
 class Compensation:
@@ -129,11 +132,14 @@ class Compensation:
         if pull is None:
             self.angle = 0.0
             return vx, vy, None
-        speed = sqrt(vx * vx + vy * vy)
+        speed, error, angle = pull.speed, pull.error, self.angle
         most = self._authority * dt / speed
-        wanted = -self.gain * pull.error if abs(pull.error) <= region_at(self.regions, speed) else 0.0
-        self.angle += max(-most, min(most, wanted - self.angle))
-        s, c = sin_cos(self.angle)
+        wanted = -self.gain * error if abs(error) <= region_at(self.regions, speed) else 0.0
+        change = wanted - angle
+        if not -most <= change <= most:
+            change = most if change > 0.0 else -most
+        self.angle = angle = angle + change
+        s, c = sin_cos(angle)
         return c * vx - s * vy, s * vx + c * vy, pull
 
     def release(self) -> None:

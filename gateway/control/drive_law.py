@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 from drivers.setpoint import CommandKind, Setpoint
 from gateway.control.limits import excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
-from gateway.types import NO_STATE, Attitude, ChassisState, Event, Rates, Region, TwistCommand
+from gateway.types import Attitude, Event, Facts, Rates, Region, TwistCommand
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
@@ -51,19 +51,19 @@ BRAKE: Final = JointCommand(CommandKind.BRAKE)
 class Motion:
     """What the joints are told. Nobody changes it; no named tuple, see `Setpoint`.
 
-    `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name; `chassis`: what only this chassis
-    knows of itself; `events`: what it has to say in this cycle; `turned`: rad,
-    counter-clockwise, from the setpoint's direction to that of a manoeuvre that is driven instead.
+    `share`: of the setpoint that is driven, 0 to 1; `limits`: those at work, by name; `numbers`: of the channels that
+    only this kind of chassis has; `events`: what it has to say in this cycle; `turned`: rad, counter-clockwise, from
+    the setpoint's direction to that of a manoeuvre that is driven instead.
     """
 
-    __slots__ = ("chassis", "commands", "events", "limits", "share", "turned")
+    __slots__ = ("commands", "events", "limits", "numbers", "share", "turned")
 
     def __init__(
         self,
         commands: tuple[JointCommand, ...],
         share: float = 1.0,
         limits: tuple[str, ...] = (),
-        chassis: ChassisState = NO_STATE,
+        numbers: tuple[float | None, ...] = (),
         events: tuple[Event, ...] = (),
         *,
         turned: float = 0.0,
@@ -71,7 +71,7 @@ class Motion:
         self.commands: Final = commands
         self.share: Final = share
         self.limits: Final = limits
-        self.chassis: Final = chassis
+        self.numbers: Final = numbers
         self.events: Final = events
         self.turned: Final = turned
 
@@ -80,7 +80,7 @@ class Motion:
         if not limits:
             return self
         together = (*limits, *self.limits)
-        return Motion(self.commands, self.share, together, self.chassis, self.events, turned=self.turned)
+        return Motion(self.commands, self.share, together, self.numbers, self.events, turned=self.turned)
 
 
 class Features(NamedTuple):
@@ -105,6 +105,14 @@ class DriveLaw(Protocol):
 
     In each cycle one of `motion` and `stop` is called, once. What neither may command is decided elsewhere.
     """
+
+    @property
+    def facts(self) -> Facts:
+        """What `state` tells of this kind of chassis, of the cycle that was driven or stopped last; keys of its own.
+
+        Asked where a status is made and not in each cycle: what it takes to put it together belongs in here.
+        """
+        ...
 
     @property
     def features(self) -> Features:
@@ -171,6 +179,11 @@ class SpeedLaw:
         self._brakes = Motion((BRAKE,) * len(self._top_speeds))
         self._blind = False
         self._ramp: tuple[float, list[float]] = (0.0, [0.0] * len(self._top_speeds))  # last setpoint known in speeds
+
+    @property
+    def facts(self) -> Facts:
+        """Nothing."""
+        return {}
 
     @property
     def features(self) -> Features:

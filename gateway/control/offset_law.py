@@ -11,23 +11,29 @@ straight along or across the chassis, so it needs no joint angle: it is the moti
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import isinf, sqrt
+from math import sqrt
 from typing import Final, NamedTuple
 
 from drivers.setpoint import CommandKind
 from gateway.arithmetic import angle_of, sin_cos
 from gateway.control.compensation import Compensation, PathRate, RegionAt, region_at, region_refusal
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
-from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled, wrapped
+from gateway.control.pull_region import Pull, Region, examine, flip_speeds, flip_way, settled, turn_radius, wrapped
 from gateway.control.region_policy import RegionPolicy, Seen, still
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
-from gateway.types import ChassisState, Event, Level, Rates
+from gateway.types import Event, Facts, Level, Rates
 from gateway.types import Region as WayRound
 
 GAIN: Final = "compensation_gain"
 REGION: Final = "compensation_region"
-# Of the chassis in `state`: turn_radius in m; rad/s of the faster wheel and of the joint in the flip that would come.
-FACTS: Final = ("region", "saturated", "turn_radius", "flip_wheel_speed", "flip_joint_speed")
+# Of a chassis at rest or at an unknown angle there is nothing to tell.
+NO_FACTS: Final[Facts] = {
+    "region": None,
+    "saturated": None,
+    "turn_radius": None,  # m
+    "flip_wheel_speed": None,  # rad/s of the faster wheel, and of the joint, in the flip that would come
+    "flip_joint_speed": None,
+}
 LOST: Final = "pull_lost"  # the event
 _TURNED_BACK: Final = 2.5  # rad from one cycle to the next: the motion was reversed, which is somebody's will
 _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smaller
@@ -46,7 +52,10 @@ class Geometry(NamedTuple):
 
 
 class OffsetDifferentialLaw:
-    """State owner: correction and the error it holds, path rate, last speeds told, last velocity driven, policy."""
+    """State owner: correction and the error it holds, path rate, last speeds told, last velocity driven, policy.
+
+    And what was last seen of the chassis, for whom asks.
+    """
 
     def __init__(
         self,
@@ -78,6 +87,21 @@ class OffsetDifferentialLaw:
         self._told: tuple[float, ...] | None = None  # rad/s; None: nothing since it was let go
         self._held: float | None = None  # rad, the error that is being corrected; None: none is
         self._driven = (0.0, 0.0)  # m/s, of the setpoint, as far as it was driven
+        self._pull: Pull | None = None  # of the last cycle, and m/s that its motion was slowed to
+        self._speed = 0.0
+        self._stopped = True  # and not driven
+
+    @property
+    def facts(self) -> Facts:
+        """How the chassis lies in its motion, what a flip would ask for, and the manoeuvre; none in a stop."""
+        if self._stopped:
+            return {}
+        pull, facts = self._pull, dict(NO_FACTS)
+        if pull is not None and self._region is not None:
+            facts["region"], facts["saturated"] = self._region.value, pull.saturated
+            facts["turn_radius"] = turn_radius(pull.speed, pull.path_rate)
+            facts["flip_wheel_speed"], facts["flip_joint_speed"] = self._of_flip(pull)
+        return facts if self._policy is None else facts | self._policy.facts
 
     @property
     def features(self) -> Features:
@@ -120,6 +144,7 @@ class OffsetDifferentialLaw:
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
         policy = self._policy
+        self._stopped = False
         if policy is None:
             return self._motion(setpoint, measured, braking=braking, path_rate=path_rate)
         if braking and not policy.idle:
@@ -130,22 +155,24 @@ class OffsetDifferentialLaw:
             motion = self._motion(setpoint, measured, braking=braking, path_rate=path_rate)
         self._driven = (setpoint[0] * motion.share, setpoint[1] * motion.share)
         limits = motion.limits if policy.idle else (*policy.limits, *motion.limits)
-        told, events = policy.told(motion.chassis), (*motion.events, *policy.news())
-        return Motion(motion.commands, motion.share, limits, told, events, turned=motion.turned)
+        events = (*motion.events, *policy.news())
+        return Motion(motion.commands, motion.share, limits, motion.numbers, events, turned=motion.turned)
 
     def _motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None) -> Motion:
         vx, vy, wz = setpoint
         estimated = self._path_rate.of(vx, vy, wz, measured.dt)
         rate = estimated if path_rate is None else path_rate
-        angle = self._speeds.angles_ahead(measured)[self._geometry.joint]
+        angles = self._speeds.angles_ahead(measured)
+        angle = angles[self._geometry.joint]
         vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
-        events = self._lost(pull, vx, vy)
-        share = self._flip_share(vx, vy, angle, pull)
+        speed = sqrt(vx * vx + vy * vy)
+        holds = pull is not None and self._holds(pull, speed)
+        events = self._lost(pull, holds=holds)
+        share = 1.0 if holds else self._flip_share(vx, vy, speed, angle, pull)
         wanted = (vx * share, vy * share, wz * share)
-        motion = self._paced(self._speeds.motion(wanted, measured, braking=braking), measured.dt)
+        motion = self._paced(self._speeds.motion_at(wanted, angles, braking=braking), measured.dt)
         limits = ("flip", *motion.limits) if share < 1.0 else motion.limits
-        state = self._state(pull, share * sqrt(vx * vx + vy * vy))
-        return Motion(motion.commands, share * motion.share, limits, state, events)
+        return Motion(motion.commands, share * motion.share, limits, self._told_of(pull, share * speed), events)
 
     def stop(self, measured: Measured) -> Motion:
         """Every joint braked."""
@@ -154,6 +181,7 @@ class OffsetDifferentialLaw:
         if self._policy is not None:
             self._policy.stop()
         self._told = self._held = None
+        self._stopped = True
         self._driven = (0.0, 0.0)
         return self._speeds.stop(measured)
 
@@ -183,7 +211,7 @@ class OffsetDifferentialLaw:
             s, c = sin_cos(angle)
             x, y = c * along + s * across, c * across - s * along
             turned = angle_of(vx * y - vy * x, vx * x + vy * y)
-        return Motion(motion.commands, share * motion.share, motion.limits, self._state(None, 0.0), turned=turned)
+        return Motion(motion.commands, share * motion.share, motion.limits, self._told_of(None, 0.0), turned=turned)
 
     def _seen(self, measured: Measured, *, whole: bool) -> Seen:
         """For the policy of regions."""
@@ -211,25 +239,25 @@ class OffsetDifferentialLaw:
             return vx, vy, None
         return vx, vy, examine(vx, vy, angle=angle, path_rate=rate, axle_offset=self._geometry.axle_offset)
 
-    def _flip_share(self, vx: float, vy: float, angle: float | None, pull: Pull | None) -> float:
-        """Of the speed at which the wheels can follow the flip that is coming; 1 where one is being held off."""
-        if self._flip is None or angle is None or pull is None or self._holds(pull, vx, vy):
+    def _flip_share(self, vx: float, vy: float, speed: float, angle: float | None, pull: Pull | None) -> float:
+        """Of the speed at which the wheels can follow the flip that is coming."""
+        if self._flip is None or angle is None or pull is None:
             return 1.0
-        speed = sqrt(vx * vx + vy * vy)
         allowed = self._flip.speed_towards(vx, vy, angle)
         return allowed / speed if allowed < speed else 1.0
 
-    def _holds(self, pull: Pull, vx: float, vy: float) -> bool:
+    def _holds(self, pull: Pull, speed: float) -> bool:
+        """Whether a flip is being held off."""
         one = self._compensation
-        if one is None or not self._corrects:
+        if one is None or one.gain <= _CORRECTED:
             return False
-        return abs(pull.error) <= region_at(one.regions, sqrt(vx * vx + vy * vy))
+        return abs(pull.error) <= region_at(one.regions, speed)
 
-    def _lost(self, pull: Pull | None, vx: float, vy: float) -> tuple[Event, ...]:
+    def _lost(self, pull: Pull | None, *, holds: bool) -> tuple[Event, ...]:
         """What is told where an error has grown beyond those that are corrected; not where the motion turned back."""
         before = self._held
-        self._held = pull.error if pull is not None and self._holds(pull, vx, vy) else None
-        if before is None or self._held is not None or pull is None or not self._corrects:
+        self._held = pull.error if holds and pull is not None else None
+        if before is None or holds or pull is None or not self._corrects:
             return ()
         if abs(wrapped(pull.error - before)) > _TURNED_BACK:
             return ()
@@ -254,23 +282,21 @@ class OffsetDifferentialLaw:
         commands = tuple([JointCommand(CommandKind.VELOCITY, speed) for speed in self._told])
         return Motion(commands, motion.share * share, (*motion.limits, "motor_acceleration"))
 
-    def _state(self, pull: Pull | None, speed: float) -> ChassisState:
-        """What is told of it; at rest and at an unknown angle there is nothing to tell but the correction."""
+    def _told_of(self, pull: Pull | None, speed: float) -> tuple[float | None, ...]:
+        """Numbers of its channels; at rest and at an unknown angle there is nothing to tell but the correction."""
+        self._pull, self._speed = pull, speed
         self._region = settled(self._region, pull)
         turned = 0.0 if self._compensation is None else self._compensation.angle
-        if pull is None or self._region is None:
-            return ChassisState(dict.fromkeys(FACTS), (None, None, None, turned, None, None))
-        told = (self._region.value, pull.saturated, _finite(pull.turn_radius), *self._of_flip(pull, speed))
-        return ChassisState(
-            dict(zip(FACTS, told, strict=True)),
-            (pull.gamma, pull.goal, pull.error, turned, pull.flip_way, pull.flip_time),
-        )
+        if pull is None:
+            return (None, None, None, turned, None, None)
+        return (pull.gamma, pull.goal, pull.error, turned, pull.speed, pull.path_rate)
 
-    def _of_flip(self, pull: Pull, speed: float) -> tuple[float | None, float | None]:
-        if pull.flip_way is None:
-            return None, None
+    def _of_flip(self, pull: Pull) -> tuple[float | None, float | None]:
         _, radius, offset, track = self._geometry
-        return flip_speeds(speed, wheel_radius=radius, axle_offset=offset, track=track)
+        way = flip_way(pull.gamma, pull.error, speed=pull.speed, path_rate=pull.path_rate, axle_offset=offset)
+        if way is None:
+            return None, None
+        return flip_speeds(self._speed, wheel_radius=radius, axle_offset=offset, track=track)
 
 
 def _features(own: Features, policy: RegionPolicy | None, compensation: Compensation | None) -> Features:
@@ -281,7 +307,3 @@ def _features(own: Features, policy: RegionPolicy | None, compensation: Compensa
         regions = frozenset({WayRound.ANY, WayRound.PUSH})
         return own._replace(regions=regions, more_regions=": [robot.compensation] in the robot file allows 'pull'")
     return own._replace(regions=frozenset(WayRound))
-
-
-def _finite(number: float | None) -> float | None:
-    return None if number is None or isinf(number) else number

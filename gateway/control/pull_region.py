@@ -10,7 +10,7 @@ long as the turn is no tighter than d1.
 """
 
 from enum import Enum
-from math import pi, sqrt
+from math import isinf, pi, sqrt
 from typing import Final, NamedTuple
 
 from drivers.records import maker
@@ -36,10 +36,9 @@ _PULL: Final = Region.PULL
 
 
 class Pull(NamedTuple):
-    """Where the chassis is and where it goes; None: at rest it has no direction, and no flip is to come.
+    """Where the chassis is and what it moves along.
 
     `goal`: gamma of balance on the path, pulled; `saturated`: the path turns tighter than d1, and it has none.
-    `flip_way`, `flip_time`: until the chassis lies across, m and s, on a path that goes on as it is and uncorrected.
     """
 
     gamma: float  # rad, -pi to pi
@@ -47,9 +46,8 @@ class Pull(NamedTuple):
     goal: float  # rad, pi/2 to 3 pi/2
     saturated: bool
     error: float  # rad, of gamma from the goal, -pi to pi
-    turn_radius: float | None  # m, of the path; None: it goes straight on
-    flip_way: float | None
-    flip_time: float | None
+    speed: float  # m/s
+    path_rate: float  # rad/s
 
 
 _pull: Final = maker(Pull)
@@ -73,10 +71,10 @@ def wrapped(angle: float) -> float:
 
 def goal_of(path_rate: float, speed: float, axle_offset: float) -> tuple[float, bool]:
     """gamma_goal = pi - asin(d1 omega/c) (Eq. 22), and whether it had to be clamped at a radius of d1."""
-    share = axle_offset * path_rate / speed
-    if -1.0 <= share <= 1.0:
-        return pi - arcsine(share), False
-    return (0.5 * pi if share > 0.0 else 1.5 * pi), True
+    tightness = axle_offset * path_rate / speed
+    if -1.0 <= tightness <= 1.0:
+        return pi - arcsine(tightness), False
+    return (0.5 * pi if tightness > 0.0 else 1.5 * pi), True
 
 
 def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset: float) -> Pull | None:
@@ -91,11 +89,34 @@ def examine(vx: float, vy: float, *, angle: float, path_rate: float, axle_offset
     along, across = c * vx - s * vy, s * vx + c * vy
     gamma = angle_of(across, along)
     goal, saturated = goal_of(path_rate, speed, axle_offset)
-    error = wrapped(gamma - goal)
-    way = _flip_way(gamma, error, axle_offset * path_rate / speed, axle_offset)
-    radius = speed / abs(path_rate) if path_rate != 0.0 else None
-    flip_time = None if way is None else way / speed
-    return _pull((gamma, _region(along / speed), goal, saturated, error, radius, way, flip_time))
+    return _pull((gamma, _region(along / speed), goal, saturated, wrapped(gamma - goal), speed, path_rate))
+
+
+def turn_radius(speed: float, path_rate: float) -> float | None:
+    """Of the path, m; None: it goes straight on, or as good as that."""
+    if path_rate == 0.0:
+        return None
+    radius = speed / abs(path_rate)
+    return None if isinf(radius) else radius
+
+
+def flip_way(gamma: float, error: float, *, speed: float, path_rate: float, axle_offset: float) -> float | None:
+    """Until the chassis lies across, m, on a path that goes on as it is and uncorrected; None: no flip is to come.
+
+    Until cos gamma = 0, of d gamma/ds = (sigma - sin gamma)/d1 with sigma = sin p = d1 over the radius, signed.
+    sin(e/2)/cos(e/2 - p) grows by e^(cos p) every d1, and is 1 or -1 in the end: exact, and on a straight path the
+    tan(gamma/2) law of Eq. 20 (science 1.3; the curved path ours).
+    """
+    if abs(wrapped(gamma - pi)) >= 0.5 * pi:
+        return None
+    tightness = axle_offset * path_rate / speed
+    if abs(tightness) >= 1.0 - _NEARLY:
+        return axle_offset * _tight_way(gamma if tightness > 0.0 else -gamma, abs(tightness))
+    sine, cosine = sin_cos(0.5 * error)
+    if sine == 0.0:
+        return None  # in balance
+    slowness = sqrt((1.0 - tightness) * (1.0 + tightness))
+    return axle_offset * max(0.0, logarithm(abs((cosine * slowness + sine * tightness) / sine))) / slowness
 
 
 def settled(before: Region | None, pull: Pull | None) -> Region | None:
@@ -121,23 +142,6 @@ def _region(cosine: float) -> Region:
     if abs(cosine) <= _NEUTRAL:
         return Region.NEUTRAL
     return _PUSH if cosine > 0.0 else _PULL
-
-
-def _flip_way(gamma: float, error: float, tightness: float, axle_offset: float) -> float | None:
-    """Until cos gamma = 0, of d gamma/ds = (sigma - sin gamma)/d1 with sigma = sin p = d1 over the radius, signed.
-
-    sin(e/2)/cos(e/2 - p) grows by e^(cos p) every d1, and is 1 or -1 in the end: exact, and on a straight path the
-    tan(gamma/2) law of Eq. 20 (science 1.3; the curved path ours).
-    """
-    if abs(wrapped(gamma - pi)) >= 0.5 * pi:
-        return None
-    if abs(tightness) >= 1.0 - _NEARLY:
-        return axle_offset * _tight_way(gamma if tightness > 0.0 else -gamma, abs(tightness))
-    sine, cosine = sin_cos(0.5 * error)
-    if sine == 0.0:
-        return None  # in balance
-    slowness = sqrt((1.0 - tightness) * (1.0 + tightness))
-    return axle_offset * max(0.0, logarithm(abs((cosine * slowness + sine * tightness) / sine))) / slowness
 
 
 def _tight_way(gamma: float, tightness: float) -> float:

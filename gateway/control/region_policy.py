@@ -45,7 +45,7 @@ from gateway.control.manoeuvre import (
     plan,
 )
 from gateway.control.pull_region import LEAST_SPEED, examine, wrapped
-from gateway.types import ChassisState, Event, Level, Rates, Region
+from gateway.types import Event, Facts, Level, Rates, Region
 
 NOTICE: Final = 0.2  # s, from the plan in `state` to the first motion: time to take the command back. Source: ours
 TAKEN_ON: Final = 1.0  # rad of error with which it drives as it is
@@ -84,14 +84,6 @@ _UNDER_WAY: Final = _AT_WORK | {Stage.PLANNED}
 _MANOEUVRING: Final = _UNDER_WAY | {Stage.DONE}
 _HELD_BACK: Final = frozenset({Stage.RESTING, Stage.REFUSED, Stage.LOST})
 _STAGES: Final = {Way.TURN: Stage.TURNING, Way.DRIVE: Stage.DRIVING}
-
-
-IDLE_FACTS: Final[dict[str, float | str | bool | None]] = {
-    "manoeuvre": "none",
-    "manoeuvre_footprint": None,
-    "manoeuvre_duration": None,
-    "manoeuvre_reason": None,
-}
 
 
 class Wish(NamedTuple):
@@ -170,19 +162,16 @@ class RegionPolicy:
             return ("manoeuvre",)
         return ("region",) if self._stage in _HELD_BACK else ()
 
-    def told(self, state: ChassisState) -> ChassisState:
-        """With what there is to tell of this."""
-        if self._stage is _IDLE:
-            return ChassisState(state.facts | IDLE_FACTS, state.numbers)
+    @property
+    def facts(self) -> Facts:
+        """What there is to tell of this."""
         planned = self._plan if self._stage in _MANOEUVRING else None
-        facts = {
-            **state.facts,
+        return {
             "manoeuvre": self._stage.value,
             "manoeuvre_footprint": None if planned is None else planned.footprint,
             "manoeuvre_duration": None if planned is None else planned.duration + NOTICE,
             "manoeuvre_reason": self._reason if self._stage in _HELD_BACK else None,
         }
-        return ChassisState(facts, state.numbers)
 
     def news(self) -> tuple[Event, ...]:
         """What has happened since it was asked last."""

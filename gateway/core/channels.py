@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
+from gateway.chassis.contract import ChassisChannels
 from gateway.config import RobotConfig
 from gateway.types import SensorKind, Trace
 
@@ -114,17 +115,14 @@ def channels_of(config: RobotConfig) -> tuple[Channel, ...]:
 
 def _chassis_channels(config: RobotConfig) -> list[Channel]:
     found: list[Channel] = []
-    first = 0
-    for group in config.robot.CHANNELS:
-        end = first + len(group.names)
+    for group in config.robot.channels():
         entity = group.entity and f"chassis/{group.entity}"
-        found.append(Channel(entity, group.names, group.unit, group.plot, partial(_of_chassis, first, end)))
-        first = end
+        found.append(Channel(entity, group.names, group.unit, group.plot, partial(_of_chassis, group)))
     return found
 
 
-def _of_chassis(first: int, end: int, trace: Trace) -> Numbers | None:
-    return trace.chassis[first:end] if trace.chassis else None
+def _of_chassis(group: ChassisChannels, trace: Trace) -> Numbers | None:
+    return group.read(trace.chassis) if trace.chassis else None
 
 
 class Layout:

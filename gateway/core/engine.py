@@ -195,7 +195,7 @@ class Engine:
                 _seconds(selection.age_ns),
                 residual,
                 residuals,
-                motion.chassis.numbers,
+                motion.numbers,
                 self._trace_of_more(more, measured) if more else (),
                 measured.heading,
                 measured.attitude,
@@ -625,7 +625,7 @@ class Engine:
             dropped_records=inputs.dropped_records,
             cycle=inputs.cycle,
             ability=self._abilities.describe(self._ability, health.usable),
-            chassis=motion.chassis.facts,
+            chassis=self._law.facts,
             sensors=self._sensors.describe(inputs.now_ns),
             settings=self._settings.describe(),
         )

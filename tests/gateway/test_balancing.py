@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.contract import DriverFault, MotorState
 from drivers.setpoint import CommandKind
 from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
-from gateway.types import ZERO_TWIST, Mode, Rates, Region, RequestKind, Twist
+from gateway.types import ZERO_TWIST, Facts, Mode, Rates, Region, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
 pytestmark = pytest.mark.pure_python  # a law of the test in place of that which the engine builds
@@ -24,7 +24,13 @@ class Balance:
 
     def __init__(self, size: int) -> None:
         self.upright = True
+        self.asked = 0
         self._size = size
+
+    @property
+    def facts(self) -> Facts:
+        self.asked += 1
+        return {"upright": self.upright}
 
     @property
     def features(self) -> Features:
@@ -193,3 +199,12 @@ def test_whatever_happens_it_is_never_let_go_and_never_moves_by_itself(steps: li
                 grown = zip(before.trace.setpoint, out.trace.setpoint, strict=True)
                 assert all(abs(new) <= abs(old) for old, new in grown)
                 assert out.trace.target == ZERO_TWIST
+
+
+def test_what_it_knows_of_itself_is_asked_where_a_status_is_made() -> None:
+    robot = Robot()
+    robot.start()
+    robot.law.asked = 0
+    told = [robot.stand.cycle(FORWARD).status for _ in range(250)]
+    assert {str(status.chassis) for status in told if status} == {"{'upright': True}"}
+    assert robot.law.asked == len([status for status in told if status]) < 50

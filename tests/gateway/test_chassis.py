@@ -72,3 +72,11 @@ def test_compensation_by_hand() -> None:
     assert limit.name == "compensation"
     assert limit.period == pytest.approx(0.2289, abs=1e-4)
     assert ROBOTS["omni4"].loop_limits(1.2, delay=0.004) == ()
+
+
+def test_way_and_time_until_it_flips_by_hand() -> None:
+    """0.01 rad off: d1 ln(1/tan 0.005) = 0.25 m x 5.2983; nothing of one that is pushed, at rest or not measured."""
+    _, flip = ROBOTS["moby"].channels()
+    assert flip.read((3.1315926, 3.1415927, -0.01, 0.0, 1.2, 0.0)) == pytest.approx((1.32457, 1.10381), abs=1e-4)
+    assert flip.read((0.1, 3.1415927, -3.0415927, 0.0, 1.2, 0.0)) == (None, None)
+    assert flip.read((None, None, None, 0.0, None, None)) == (None, None)

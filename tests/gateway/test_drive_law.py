@@ -8,7 +8,7 @@ from drivers.setpoint import CommandKind
 from gateway.config import parse
 from gateway.control.drive_law import BRAKE, Measured, Motion, SpeedLaw
 from gateway.core.assembly import build
-from gateway.types import ZERO_TWIST, ChassisState, Event, Level, Twist
+from gateway.types import ZERO_TWIST, Event, Level, Twist
 from tests.world import robot_text
 
 PERIOD = 0.004
@@ -17,10 +17,10 @@ FORWARD = Twist(0.5, 0.0, 0.0)
 
 def test_limits_at_work_are_added_and_nothing_else_is_lost() -> None:
     event = Event(Level.INFO, "code", "text")
-    motion = Motion((BRAKE,), 0.5, ("motor_speed",), ChassisState({"fact": 1.0}, (2.0,)), (event,), turned=0.25)
+    motion = Motion((BRAKE,), 0.5, ("motor_speed",), (2.0, None), (event,), turned=0.25)
     told = motion.limited_by(("slip", "velocity"))
     assert told.limits == ("slip", "velocity", "motor_speed")
-    assert (told.commands, told.share, told.chassis) == (motion.commands, 0.5, motion.chassis)
+    assert (told.commands, told.share, told.numbers) == (motion.commands, 0.5, (2.0, None))
     assert (told.events, told.turned) == ((event,), 0.25)
     assert motion.limited_by(()).limits == ("motor_speed",)
 

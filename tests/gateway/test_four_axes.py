@@ -40,7 +40,6 @@ SIDES = (0.5, 0.5, -0.5, -0.5)  # of the width rate, to the left
 class FourAxes(Section):
     """The section of its robot file."""
 
-    CHANNELS: ClassVar[tuple[ChassisChannels, ...]] = ()
     GEOMETRY: ClassVar[str] = "distance and radius"
     AXES: ClassVar[tuple[str, ...]] = AXES
 
@@ -60,6 +59,9 @@ class FourAxes(Section):
 
     def trailing(self) -> None:
         pass
+
+    def channels(self) -> tuple[ChassisChannels, ...]:
+        return ()
 
     def law(self, parts: LawParts) -> SpeedLaw:
         return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)

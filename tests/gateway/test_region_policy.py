@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gateway.control.manoeuvre import Form, Limits
 from gateway.control.region_policy import RegionPolicy, Seen, still
-from gateway.types import NO_STATE, Rates, Region
+from gateway.types import Rates, Region
 
 D1 = 0.25
 DT = 0.004
@@ -70,7 +70,7 @@ class Robot:
 
     @property
     def facts(self) -> dict[str, float | str | bool | None]:
-        return self.policy.told(NO_STATE).facts
+        return self.policy.facts
 
     @property
     def stage(self) -> str:
