@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from replay.reproduce import arcs, drawing, hits, impact, kane, kane_tracking, straight, tables, torques
+from replay.reproduce import arcs, drawing, hits, impact, kane, kane_tracking, rojas, straight, tables, torques
 from replay.reproduce.result import Found, Result, Stage
 
 
@@ -25,6 +25,10 @@ EXPERIMENTS: dict[str, Experiment] = {
     "moby-fig13": Experiment("Figure 13: the caster while the robot accelerates", torques.figure_13, 5),
     "moby-fig14": Experiment("Figure 14: the caster comes out of its unstable position", torques.figure_14, 5),
     "moby-fig15": Experiment("Figure 15: both experiments of section 8", hits.figure_15, 4),
+    "rojas-fig4": Experiment("Figure 4: effective motors", rojas.figure_4, 3),
+    "rojas-fig9": Experiment("Figure 9: what of the speed the rollers provide", rojas.figure_9, 5),
+    "rojas-slip": Experiment("Section 9: wheels that slip", rojas.slip_table, 1),
+    "rojas-dead": Experiment("Section 11: without one motor", rojas.dead_motors, 4),
     "kane-fig7": Experiment("Figure 7: along a diagonal while spinning", kane.figure_7, 2),
     "kane-fig8": Experiment("Figure 8: wheel speeds that no motion explains", kane.figure_8, 1),
     "kane-fig9": Experiment("Figures 9 to 12: torques, energy and momentum", kane.figure_9, 3),

@@ -46,6 +46,7 @@ class Sample(NamedTuple):
     chassis: float
     vx: float  # over the floor
     vy: float
+    wz: float
     rates: tuple[float, ...]  # of the joints
     torques: tuple[float, ...]
     swivel: float | None  # of the caster, where there is one
@@ -175,6 +176,7 @@ class _Drive:
             chassis=truth.chassis_angle,
             vx=vx,
             vy=vy,
+            wz=truth.twist.wz,
             rates=truth.joint_rates,
             torques=truth.joint_torques,
             swivel=self._swivel(),

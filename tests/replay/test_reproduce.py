@@ -20,6 +20,7 @@ from replay.reproduce.result import Found, ReproduceError, Row, Stage, at_least,
 from replay.sessions.reader import open_session
 
 NAMES = ["moby-fig5", "moby-fig7", "moby-fig8", "moby-fig9", "moby-fig11", "moby-fig13", "moby-fig14", "moby-fig15"]
+NAMES += ["rojas-fig4", "rojas-fig9", "rojas-slip", "rojas-dead"]
 NAMES += ["kane-fig7", "kane-fig8", "kane-fig9", "kane-fig13", "kane-fig19", "kane-fig24"]
 WALL_NS = 1_700_000_000_000_000_000
 RUNNER = CliRunner()
@@ -51,7 +52,7 @@ def test_contract_of_an_experiment(name: str, tmp_path: Path, monkeypatch: pytes
         assert session.parent == tmp_path / name
     first = open_session(next(iter(result.sessions.values())))
     assert first.complete
-    assert first.cycle_count > 700
+    assert first.cycle_count > 350
     verdict = (
         verify(first) if name in {"moby-fig7", "moby-fig13", "kane-fig8"} else None
     )  # some: it takes as long as the drive
