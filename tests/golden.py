@@ -4,6 +4,7 @@ The vectors use the papers' frames; `_FUNCTIONS` is the one place where they are
 Rojas: x right, y forward, wheel axes at angles from right; ours are x forward, y left, so (vx, vy) of the paper is
 (-left, forward) and an angle of the paper is ours plus a quarter turn. MOBY: world velocities and chassis heading;
 with the platform heading at zero its frame is the world's, and the joint angle is minus the chassis heading.
+Amarasiri et al. 2022 (omni004): our axes, but in inches, slug (lbf s^2/ft) and lbf in.
 Functions whose rooms are not built are listed as such and neither pass nor fail.
 """
 
@@ -29,6 +30,8 @@ from gateway.types import Twist
 from replay.reproduce.kane_model import Response, gains_for
 from replay.sim.controllers.dc_motor import DcMotor
 from replay.sim.plants.offset_dynamics import SWIVEL, OffsetDynamics, OffsetParameters
+from replay.sim.plants.omni_equations import OmniEquations
+from replay.sim.plants.omni_parameters import OmniParameters, kane_robot
 
 Vector = Mapping[str, Any]
 _TO_PAPER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (vx, vy, R w) of the paper from ours
@@ -329,6 +332,56 @@ def _spun(motor: DcMotor, rate: float, voltage: float, *, inertia: float, second
     return rate
 
 
+_INCH, _SLUG = 0.0254, 14.593902937206365  # m, kg
+_LBF_IN = 12.0 * _SLUG * _INCH * _INCH  # N m
+
+
+def _kane(given: Vector) -> OmniParameters:
+    """The paper's robot with the lengths of a vector, which are in inches."""
+    robot = kane_robot(given["Lm"] * _INCH)
+    wheels = [
+        wheel._replace(radius=given.get("R", 3.0) * _INCH, roller_radius=given.get("r", 0.4) * _INCH)
+        for wheel in robot.wheels
+    ]
+    return robot._replace(wheels=tuple(wheels))
+
+
+def _kane_dynamics(given: Vector) -> dict[str, Any]:
+    robot = OmniEquations(_kane(given))
+    motion = given["V1"] * _INCH, given["V2"] * _INCH, given["Omega"]
+    found = robot.acceleration(motion, robot.driven([torque * _LBF_IN for torque in given["T"]]))
+    return {
+        "V1_dot": found[0] / _INCH,
+        "V2_dot": found[1] / _INCH,
+        "Omega_dot": found[2],
+        "kinetic_energy": robot.energy(motion) / _LBF_IN,
+    }
+
+
+def _kane_wheel_speeds(given: Vector) -> dict[str, Any]:
+    robot, (s, c) = OmniEquations(_kane(given)), (sin(given["q3"]), cos(given["q3"]))
+    x, y = given["u1"] * _INCH, given["u2"] * _INCH
+    motion = c * x + s * y, c * y - s * x, given["Omega"]
+    return {"omega": robot.joint_rates(motion), "roller": robot.roller_rates(motion)}
+
+
+def _kane_odometry(given: Vector) -> dict[str, Any]:
+    """By the core's kinematics. The residual is a quarter of the slip along the one direction no motion explains."""
+    wheels = [WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in _kane(given).wheels]
+    kinematics = omni_kinematics(wheels)
+    estimate = kinematics.twist(given["omega"])
+    assert estimate is not None
+    assert estimate.residuals is not None
+    (vx, vy, wz), (s, c) = estimate.twist, (sin(given["q3"]), cos(given["q3"]))
+    first = estimate.residuals[0]
+    assert first is not None
+    return {
+        **{"u1": (c * vx - s * vy) / _INCH, "u2": (s * vx + c * vy) / _INCH, "Omega": wz},
+        "slip": 4.0 * first / wheels[0].radius,
+        "omega_consistent": kinematics.wheel_speeds(estimate.twist),
+    }
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -344,6 +397,9 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "moby.inverse_dynamics": _inverse_dynamics,
     "omni004.pid_from_poles": _pid_from_poles,
     "motor.voltage_stepping": _voltage_stepping,
+    "omni004.forward_dynamics": _kane_dynamics,
+    "omni004.wheel_speeds": _kane_wheel_speeds,
+    "omni004.odometry": _kane_odometry,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,

@@ -20,9 +20,9 @@ def test_every_vector_of_the_pull_region_holds(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().out.endswith("52 passed, 0 failed\n")
 
 
-def test_every_vector_of_motors_holds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_vector_of_omni_dynamics_and_motors_holds(capsys: pytest.CaptureFixture[str]) -> None:
     assert golden.main([str(VECTORS.with_name("omni_dynamics.json"))]) == 0
-    assert capsys.readouterr().out.endswith("4 passed, 0 failed\n")
+    assert capsys.readouterr().out.endswith("24 passed, 0 failed\n")
 
 
 def test_every_vector_of_forces_and_slip_of_omni_wheels_holds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,7 @@ from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawPa
 from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
-from gateway.sections import Angle, Body, Length, Metres, Name, Section
+from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section
 from gateway.types import PLANAR, Rates
 
 
@@ -42,13 +42,17 @@ def _rim_row(wheel: WheelPose) -> tuple[float, float, float]:
 
 
 class OmniWheel(Section):
-    """Pose of one omni wheel: contact point, angle of the axle (outward), rolling radius."""
+    """Pose of one omni wheel: contact point, angle of the axle (outward), rolling radius.
+
+    `roller_mass`: of the roller that touches the floor, kg; used by the simulated world alone, which guesses otherwise.
+    """
 
     motor: Name
     x: Metres
     y: Metres
     axis_angle: Angle
     radius: Length
+    roller_mass: Positive | None = None
 
 
 class OmniRobot(Section):

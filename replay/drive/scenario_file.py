@@ -197,7 +197,8 @@ def check_names(scenario: Scenario, config: RobotConfig, origin: str) -> None:
     motors = config.robot.motor_names()
     problems += [_no_such(f"start.joint.{name}", name, motors) for name in scenario.start.joint if name not in motors]
     if not isinstance(chosen_plant(config, scenario.plant, origin), WithCaster):
-        problems += [f"{key}: needs plant = {PlantName.DYNAMICS.value!r}" for key in _about_the_caster(scenario)]
+        needed = f"needs a caster: an offset_differential robot with plant = {PlantName.DYNAMICS.value!r}"
+        problems += [f"{key}: {needed}" for key in _about_the_caster(scenario)]
     if problems:
         raise ConfigError(origin, problems)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.config import load
-from replay.sim.plants import plant_of
+from replay.sim.plants import PLANTS, plant_of
 from replay.sim.plants.contract import PlantName, Point
 from replay.sim.plants.offset_caster import OffsetCaster, parameters
 from replay.sim.plants.offset_dynamics import OffsetDynamics
@@ -204,8 +204,9 @@ def test_lengths_masses_and_friction_are_those_of_the_robot_file() -> None:
     assert longer.chassis_offset == pytest.approx(-0.172)
 
 
-def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused() -> None:
+def test_a_robot_without_caster_and_a_kind_without_dynamics_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = moby()
+    monkeypatch.delitem(PLANTS["omni"], PlantName.DYNAMICS)
     with pytest.raises(ValueError, match=r"plant = 'dynamics': robot\.caster is missing"):
         plant_of(robot.model_copy(update={"caster": None}), PlantName.DYNAMICS)
     with pytest.raises(ValueError, match=r"plant = 'dynamics': for a robot of kind omni there is 'simple'"):

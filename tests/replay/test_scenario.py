@@ -22,6 +22,8 @@ from replay.drive.scenario import RESTART_S, Result, run_scenario
 from replay.drive.scenario_file import Scenario, check_names, load_scenario
 from replay.drive.trace import TraceWriter, columns
 from replay.sessions.reader import open_session
+from replay.sim.plants import PLANTS
+from replay.sim.plants.contract import PlantName
 from tests.world import NAMES, ROBOTS
 
 ZERO = {"source": "teleop", "vx": 0.0, "vy": 0.0, "wz": 0.0}
@@ -136,23 +138,23 @@ def test_a_joint_that_is_not_there_is_refused() -> None:
 
 
 CASTER: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"start": {"swivel": 0.5}}, "start.swivel = 0.5: needs plant = 'dynamics'"),
-    (
-        {"at": [{"t": 1.0, "fault": {"kind": "impact", "value": 100.0, "seconds": 0.1}}]},
-        "at[0].fault.kind = 'impact': needs plant = 'dynamics'",
-    ),
+    ({"start": {"swivel": 0.5}}, "start.swivel = 0.5"),
+    ({"at": [{"t": 1.0, "fault": {"kind": "impact", "value": 100.0, "seconds": 0.1}}]}, "at[0].fault.kind = 'impact'"),
 )
 
 
 @pytest.mark.parametrize(("parts", "words"), CASTER, ids=range(len(CASTER)))
 def test_what_concerns_the_caster_needs_a_plant_with_one(parts: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        run_scenario(scenario("moby", **parts))
-    assert words in str(caught.value)
+    for robot, plant in (("moby", "simple"), ("omni4", "dynamics")):
+        with pytest.raises(ConfigError) as caught:
+            run_scenario(scenario(robot, plant=plant, **parts))
+        needed = f"{words}: needs a caster: an offset_differential robot with plant = 'dynamics'"
+        assert needed in str(caught.value)
     run_scenario(scenario("moby", plant="dynamics", **parts))
 
 
-def test_a_plant_that_a_robot_does_not_have_is_refused() -> None:
+def test_a_plant_that_a_robot_does_not_have_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(PLANTS["omni"], PlantName.DYNAMICS)
     with pytest.raises(ConfigError, match="plant = 'dynamics': for a robot of kind omni there is 'simple'"):
         run_scenario(scenario("omni4", plant="dynamics"))
     with pytest.raises(ConfigError, match="plant = 'wood': Input should be 'simple' or 'dynamics'"):
