@@ -72,7 +72,8 @@ class MotorFeedback(NamedTuple):
 class Capabilities(NamedTuple):
     """What a controller can do on its own; every controller can coast, and one that takes a velocity can brake.
 
-    `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
+    `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`. `speed_step`:
+    rad/s at the shaft by which two measured speeds differ at least; None: not known.
     """
 
     velocity: bool = False
@@ -82,6 +83,7 @@ class Capabilities(NamedTuple):
     feed_forward: bool = False
     limit: bool = False
     device_watchdog: bool = False
+    speed_step: float | None = None
 
 
 OptionValue = bool | int | float | str  # what the robot file can say in `options`

@@ -238,7 +238,7 @@ class DjiDriver:
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
         """Torque only; braking is the host's speed loop."""
-        return (Capabilities(torque=True),) * len(self._motors)
+        return (Capabilities(torque=True, speed_step=RAD_S_PER_RPM),) * len(self._motors)
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
