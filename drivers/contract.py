@@ -74,6 +74,7 @@ class Capabilities(NamedTuple):
 
     `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
     `coast`: released it rolls on; else its windings are as good as shorted, which brakes it while it turns.
+    `speed_step`: rad/s at the shaft by which two measured speeds differ at least; None: not known.
     """
 
     velocity: bool = False
@@ -84,6 +85,7 @@ class Capabilities(NamedTuple):
     feed_forward: bool = False
     limit: bool = False
     device_watchdog: bool = False
+    speed_step: float | None = None
 
 
 OptionValue = bool | int | float | str  # what the robot file can say in `options`

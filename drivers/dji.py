@@ -256,8 +256,8 @@ class SharedFrame(NamedTuple):
     owners: tuple[str | None, ...]  # motors by slot; None: nobody's
 
 
-_TORQUES: Final = Capabilities(torque=True)
-_VOLTS: Final = Capabilities(voltage=True, brake=True, coast=False)
+_TORQUES: Final = Capabilities(torque=True, speed_step=RAD_S_PER_RPM)
+_VOLTS: Final = Capabilities(voltage=True, brake=True, coast=False, speed_step=RAD_S_PER_RPM)
 _IN_WORDS: Final = {_TORQUE: "a torque in N m alone", _VOLTAGE: "a voltage in V alone, brake"}
 
 

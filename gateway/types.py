@@ -318,6 +318,20 @@ class SettingStatus(NamedTuple):
     high: float
 
 
+class SlipStatus(NamedTuple):
+    """Slip of the wheels. `wheels`: those that slip, where that is known, and `evidence` by which. `tells`: in words.
+
+    `threshold`: m/s at the rim beyond which the residual of a wheel is slip, of the wheel nearest to it; None while all
+    of them are far from it.
+    """
+
+    slipping: bool
+    wheels: tuple[str, ...]
+    evidence: tuple[str, ...]
+    threshold: float | None
+    tells: str
+
+
 class Status(NamedTuple):
     """What a person or a fleet manager wants to know of the robot, at the status rate."""
 
@@ -342,6 +356,7 @@ class Status(NamedTuple):
     chassis: Facts
     sensors: tuple[SensorStatus, ...] = ()
     settings: tuple[SettingStatus, ...] = ()
+    slip: SlipStatus | None = None  # None: of a chassis with no wheels that could be held against each other
 
 
 class AxisTrace(NamedTuple):

@@ -128,28 +128,6 @@ def _effective_motors(given: Vector) -> dict[str, Any]:
     return {"n_eff": PushTable(rows, (1.0,) * 4).along(given["psi"] - pi / 2.0, (True,) * 4)}
 
 
-def _plus_odometry(given: Vector) -> dict[str, Any]:
-    """Seed 004: wheels 1, 2 roll forward at the left and the right, 3, 4 to the left at the back and the front.
-
-    The residual of any wheel of the four is a quarter of the slip, at the rim.
-    """
-    arm, radius, heading = given["Lm"], given["R"], given["q3"]
-    poses = [(0.0, arm, -pi / 2.0), (0.0, -arm, -pi / 2.0), (-arm, 0.0, 0.0), (arm, 0.0, 0.0)]
-    kinematics = omni_kinematics([WheelPose(x, y, axis, radius) for x, y, axis in poses])
-    estimate = kinematics.twist(given["omega"])
-    assert estimate is not None
-    assert estimate.residuals is not None
-    (vx, vy, wz), first = estimate.twist, estimate.residuals[0]
-    assert first is not None
-    return {
-        "u1": cos(heading) * vx - sin(heading) * vy,
-        "u2": sin(heading) * vx + cos(heading) * vy,
-        "Omega": wz,
-        "slip": 4.0 * first / radius,
-        "omega_consistent": kinematics.wheel_speeds(estimate.twist),
-    }
-
-
 def _offset(given: Vector) -> OffsetDifferentialKinematics:
     caster = None
     if "d3" in given:
@@ -412,7 +390,6 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "omni.DC_alpha": _omni_dc,
     "omni.forces_one_motor_out": _forces_one_motor_out,
     "omni.effective_motors_sym4": _effective_motors,
-    "omni004.odometry": _plus_odometry,
 }
 
 

@@ -10,13 +10,13 @@ Each cycle a motor is a `Sample`; each detector looks at the samples of one moto
 | runaway | moves on beyond its setpoint, faster and faster: a wrong sign | an impact, a slope, a lag |
 | reversed | a wheel goes against all its torque, with the others in tow: a wrong sign | a push, a slope, a load |
 | following | far from its setpoint with torque to spare | torque at its limit: that is overload, no fault |
-Slip is no fault of a motor and is seen from all wheels together (`SlipDetector`).
+Slip is no fault of a motor and is seen from all wheels together (`gateway.core.slip`).
 Only samples that are new count where a position is compared: a lost frame is no standing wheel.
 """
 
 from collections.abc import Callable, Sequence
 from math import copysign, inf
-from typing import ClassVar, Final, Protocol
+from typing import Final, Protocol
 
 AT_LIMIT: Final = 0.8  # of the torque limit, from which a motor is taken to give all it has
 
@@ -339,24 +339,3 @@ class FollowingDetector:
         if self._time < FOLLOWING_TIME:
             return None
         return f"turns at {x.speed:.2f} rad/s where {x.setpoint:.2f} rad/s is commanded"
-
-
-class SlipDetector:
-    """The wheels together do not fit a rigid motion: at least one of them slips, which one cannot be said."""
-
-    # m/s of rim speed; source: ours, the simulated omni4 stays below 0.001 in its hardest start
-    THRESHOLD: ClassVar[float] = 0.05
-    TIME: ClassVar[float] = 0.04  # s
-
-    def __init__(self) -> None:
-        self.slipping = False
-        self._time = 0.0
-
-    def look(self, residual: float | None, dt: float) -> None:
-        """Take the rim speed that no rigid motion explains; None where the wheels carry no redundancy."""
-        if residual is None or residual < self.THRESHOLD * (0.5 if self.slipping else 1.0):
-            self._time = 0.0
-            self.slipping = False
-            return
-        self._time += dt
-        self.slipping = self._time >= self.TIME

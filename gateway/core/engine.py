@@ -27,7 +27,6 @@ from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import build
-from gateway.core.detectors import SlipDetector
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
 from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
@@ -35,9 +34,12 @@ from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
 from gateway.core.sensors import Readings, Sensors
 from gateway.core.settings import SPEED_OVERRIDE, Settings
+from gateway.core.slip import NO_SLIP, Slip, SlipDetector
+from gateway.core.slip_model import slip_model
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
 from gateway.core.targets import more_of
+from gateway.kinematics.contract import Estimate
 from gateway.types import (
     PLANAR,
     ZERO_TWIST,
@@ -118,7 +120,8 @@ class Engine:
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz)
         self._settings = Settings(config.settings, robot.law)
-        self._slip = SlipDetector()
+        model = slip_model(config, robot)
+        self._slip = None if model is None else SlipDetector(robot.names, model)
         self._standstill = Standstill()
         self._reporter = Reporter(config)
         self._period = 1.0 / config.loop.rate
@@ -174,7 +177,7 @@ class Engine:
             reason=reason,
             faults=health.faults,
             replies=replies,
-            slipping=measured.slipping,
+            slip=self._slip.named() if measured.slipping and self._slip else None,
             silent=self._sensors.silent,
             jumped=self._sensors.jumped,
         )
@@ -256,13 +259,14 @@ class Engine:
         trusted = self._trust.trusted(angles)
         speeds, deltas = self._believed(measured.speeds, deltas, trusted)
         estimate = self._kinematics.twist(speeds, trusted)
-        residual = estimate.residual if estimate else None
+        readings = self._sensors.read(now_ns)
+        slip = NO_SLIP if self._slip is None else self._slip.look(measured, speeds, estimate, readings.heading)
+        if slip.wheels:
+            estimate, deltas = self._without(slip, estimate, speeds, deltas, trusted)
         measurable = estimate is not None or None not in speeds
         moves = self._law.moves(measured, turning=self._motors.turning(measured))
         self._standstill.measure(turning=moves, measurable=measurable, now_ns=now_ns)
-        readings = self._sensors.read(now_ns)
-        self._move(deltas, trusted, readings, residual=residual, dt=dt)
-        self._slip.look(residual, dt)
+        self._move(deltas, trusted, readings, residual=estimate.residual if estimate else None, slip=slip, dt=dt)
         return _measured(
             (
                 now_ns,
@@ -273,7 +277,7 @@ class Engine:
                 measured.ages_ns,
                 tuple(trusted),
                 estimate,
-                self._slip.slipping,
+                slip.slipping,
                 readings.heading and readings.heading.angle,
                 readings.attitude,
                 readings.ranges,
@@ -287,13 +291,14 @@ class Engine:
         readings: Readings,
         *,
         residual: float | None,
+        slip: Slip,
         dt: float,
     ) -> None:
         """The pose by the way of this cycle, with the turn of a gyro where there is one to be believed."""
         angle, fresh, anew = readings.heading or (None, True, False)
         if anew:
             self._odometry.forget_heading()
-        self._odometry.update(deltas, angles, residual=residual, dt=dt, heading=angle, fresh=fresh)
+        self._odometry.update(deltas, angles, residual=residual, dt=dt, heading=angle, fresh=fresh, spread=slip.spread)
 
     def _believed(
         self, speeds: Numbers, deltas: list[float | None], angles: Numbers
@@ -305,6 +310,25 @@ class Engine:
         if self._kinematics.twist(others, angles) is None:
             return speeds, deltas
         return others, [delta if ok else None for delta, ok in zip(deltas, self._believable)]
+
+    def _without(
+        self,
+        slip: Slip,
+        estimate: Estimate | None,
+        speeds: Numbers,
+        deltas: list[float | None],
+        angles: Numbers,
+    ) -> tuple[Estimate | None, list[float | None]]:
+        """The motion and the ways without wheels that are known to slip, as long as the others suffice.
+
+        What the wheels do not explain stays what all of them do not: that is how the end of the slip is seen.
+        """
+        others = [None if place in slip.wheels else speed for place, speed in enumerate(speeds)]
+        found = self._kinematics.twist(others, angles)
+        if found is None or estimate is None:
+            return estimate, deltas
+        kept = found._replace(residual=estimate.residual, residuals=estimate.residuals)
+        return kept, [None if place in slip.wheels else delta for place, delta in enumerate(deltas)]
 
     def _expected_speed(self, index: int) -> float | None:
         """Speed of one wheel as the other wheels have it, rad/s."""
@@ -628,6 +652,7 @@ class Engine:
             chassis=self._law.facts,
             sensors=self._sensors.describe(inputs.now_ns),
             settings=self._settings.describe(),
+            slip=None if self._slip is None else self._slip.describe(measured),
         )
 
 

@@ -1,7 +1,8 @@
 """Pose from measured wheel motion: displacement of the wheels, fitted to a rigid motion, integrated along its arc.
 
 Displacements (not speeds) are integrated, so a late or lost frame costs nothing: the next one carries the way. The
-covariance grows with the way driven and, where the wheels carry redundancy, with the motion they cannot explain.
+covariance grows with the way driven and, where the wheels carry redundancy, with the motion they cannot explain: alike
+along all axes while that is noise, and while wheels slip along the twists by which they put the motion wrong.
 Where a gyro tells the heading, the turn is the gyro's and the wheels tell the way only. Between two of its samples the
 wheels tell the turn as well; the next sample puts the gyro's in its place, and where none comes the wheels' stands.
 """
@@ -32,6 +33,7 @@ _LONGEST_GAP: Final = 0.5  # s; a controller that reports more rarely counts as 
 _JUMP_FACTOR: Final = 2.0  # a displacement beyond this many times what top speed allows is a counter that restarted
 _SMALL_ANGLE: Final = 0.01  # rad; below it the series are exact but for the last bit, and 1 - cos is not
 
+Spread = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt, tt
 Covariance = tuple[float, float, float, float, float, float, float, float, float]
 # Nobody starts a pose graph with certainty: 1 mm and 1 mrad keep the matrix positive definite (filters invert it).
 _FIRST_VARIANCE: Final = 1e-6  # m^2, m^2, rad^2
@@ -72,6 +74,7 @@ class WheelOdometry:
         # Since then: what errs in position, and what errs in heading (the wheels' share of it, and the gyro's).
         self._way = 0.0
         self._slip_variance = 0.0  # integral of residual^2 dt, m^2/s
+        self._slip_spread = (0.0, 0.0, 0.0, 0.0, 0.0)  # xx, xy, xt, yy, yt in the world: m^2/s, m rad/s
         self._turned = 0.0
         self._turning_way = 0.0
         self._turning_slip_variance = 0.0
@@ -118,16 +121,21 @@ class WheelOdometry:
         dt: float,
         heading: float | None = None,
         fresh: bool = True,
+        spread: Spread | None = None,
     ) -> None:
         """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s.
 
         `heading`: of a gyro, rad, from any zero and wrapped or not; None while it is silent. Its change since the
         sample before is the turn, in place of that of the wheels; the first one only tells where it counts from.
         `fresh`: it is of this cycle; what is not fresh says only that the gyro is not silent.
+        `spread`: variances of the twist in the frame of the body, of wheels that slip; then the residual says nothing.
         """
         way = self._displacement(deltas, angles) if any(deltas) else None
-        slip_variance = residual * residual * dt if residual else 0.0
-        self._slip_variance += slip_variance
+        if spread is None:
+            slip_variance = residual * residual * dt if residual else 0.0
+            self._slip_variance += slip_variance
+        else:
+            slip_variance = self._spread(spread, dt, turns=heading is None)
         if heading is not None and self._heading is not None and not fresh:
             self._bridge(way or NO_DISPLACEMENT, slip_variance, dt)
             return
@@ -171,6 +179,24 @@ class WheelOdometry:
         before, self._heading = self._heading, heading
         return None if heading is None or before is None else remainder(heading - before - self._bridged, tau)
 
+    def _spread(self, spread: Spread, dt: float, *, turns: bool) -> float:
+        """Keep what slip does to the position; what it does to the heading is given back, as at its lever: m^2/s.
+
+        `turns`: the heading is that of the wheels, and so errs together with the position.
+        """
+        xx, xy, xt, yy, yt, tt = spread
+        s, c = sin_cos(self.pose.theta)
+        before_xx, before_xy, before_xt, before_yy, before_yt = self._slip_spread
+        along, across = (xt, yt) if turns else (0.0, 0.0)
+        self._slip_spread = (
+            before_xx + dt * (c * c * xx - 2.0 * s * c * xy + s * s * yy),
+            before_xy + dt * (s * c * (xx - yy) + (c * c - s * s) * xy),
+            before_xt + dt * (c * along - s * across),
+            before_yy + dt * (s * s * xx + 2.0 * s * c * xy + c * c * yy),
+            before_yt + dt * (s * along + c * across),
+        )
+        return tt * _SLIP_LEVER * _SLIP_LEVER * dt
+
     def _bridge(self, way: Displacement, slip_variance: float, dt: float) -> None:
         """Move as the wheels have it, until the gyro tells more."""
         length = abs(way.x) + abs(way.y)
@@ -212,8 +238,12 @@ class WheelOdometry:
         new_xy = xy + dx * xt - dy * yt - dx * dy * tt
         new_yy = yy + 2.0 * dx * yt + dx * dx * tt + across
         new_xt, new_yt, new_tt = xt - dy * tt, yt + dx * tt, tt + heading
+        slip_xx, slip_xy, slip_xt, slip_yy, slip_yt = [_SLIP_CORRELATION * part for part in self._slip_spread]
+        new_xx, new_xy, new_xt = new_xx + slip_xx, new_xy + slip_xy, new_xt + slip_xt
+        new_yy, new_yt = new_yy + slip_yy, new_yt + slip_yt
         self._covariance = (new_xx, new_xy, new_xt, new_xy, new_yy, new_yt, new_xt, new_yt, new_tt)
         self._reference, self._way, self._slip_variance = self.pose, 0.0, 0.0
+        self._slip_spread = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._turned = self._turning_way = self._turning_slip_variance = self._gyro_variance = 0.0
 
 

@@ -94,7 +94,7 @@ class Reporter:
         self._first_ns: int | None = None
         self._mode = _IDLE
         self._faults: tuple[Fault, ...] = ()
-        self._slipping = False
+        self._slip: tuple[str, ...] | None = None
         self._overruns = 0
         self._dropped_records = 0
 
@@ -106,15 +106,18 @@ class Reporter:
         reason: str | None,
         faults: tuple[Fault, ...],
         replies: Sequence[Reply],
-        slipping: bool,
+        slip: tuple[str, ...] | None = None,
         silent: tuple[str, ...] = (),
         jumped: Sequence[str] = (),
     ) -> tuple[Event, ...]:
-        """Everything worth telling of this cycle; usually nothing. `silent`, `jumped`: sensors."""
+        """Everything worth telling of this cycle; usually nothing. `silent`, `jumped`: sensors.
+
+        `slip`: the wheels that slip, none where that is not known; None: no wheel does.
+        """
         quiet = (
             mode is self._mode
             and faults is self._faults
-            and slipping is self._slipping
+            and slip == self._slip
             and silent == self._silent
             and not (inputs.refusals or inputs.bus_events or replies or jumped)
             and inputs.overruns == self._overruns
@@ -131,7 +134,7 @@ class Reporter:
         events += [event for bus_event in inputs.bus_events for event in self._bus(bus_event, now_ns)]
         events += self._counters(inputs)
         events += self._fault_changes(faults, now_ns)
-        events += self._slip_change(slipping, now_ns)
+        events += self._slip_change(slip, now_ns)
         events += self._sensor_changes(silent, jumped, now_ns)
         asked = {request.id: request for request in inputs.requests}
         events += [event for reply in replies for event in self._reply(asked[reply.id], reply, now_ns)]
@@ -191,12 +194,14 @@ class Reporter:
             events += _counted(Level.INFO, f"cleared_{fault.kind.value}", fault.subject, count)
         return events
 
-    def _slip_change(self, slipping: bool, now_ns: int) -> list[Event]:
-        before, self._slipping = self._slipping, slipping
-        if not slipping or before:
-            return []
-        text = "the wheels do not fit a rigid motion: one of them slips"
-        return _counted(Level.WARNING, "slip", text, self._throttle.admit("slip", now_ns))
+    def _slip_change(self, slip: tuple[str, ...] | None, now_ns: int) -> list[Event]:
+        before, self._slip = self._slip, slip
+        if slip == before or (before is not None and slip == ()):
+            return []  # that it is no longer known which one is no news
+        if slip is None:
+            return _counted(Level.INFO, "slip_over", "all wheels grip", self._throttle.admit("slip_over", now_ns))
+        text = f"{', '.join(slip)} slips" if slip else "the wheels do not fit a rigid motion: one of them slips"
+        return _counted(Level.WARNING, "slip", text, self._throttle.admit(("slip", slip), now_ns))
 
     def _sensor_changes(self, silent: tuple[str, ...], jumped: Sequence[str], now_ns: int) -> list[Event]:
         before, self._silent = self._silent, silent

@@ -65,7 +65,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.detectors.FollowingDetector": frozenset({"_limits"}),
     "gateway.core.detectors.ReversedDetector": frozenset(),
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
-    "gateway.core.detectors.SlipDetector": frozenset(),
+    "gateway.core.slip.SlipDetector": frozenset({"_floor", "_model", "_names"}),
+    "gateway.core.slip._SpinWatch": frozenset({"_model", "_nothing"}),
+    "gateway.core.slip_isolation.Isolation": frozenset({"_model"}),
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),

@@ -49,9 +49,9 @@ class FixedWheels:
         self.rim_matrix: Matrix = tuple(rim_rows)
         self.rim_pinv = _inverse(self.rim_matrix)
         self._reach = ReachTable(self.rim_matrix)
-        self._radii = tuple(radii)
-        self._rows = tuple(tuple(part / r for part in row) for row, r in zip(self.rim_matrix, self._radii, strict=True))
-        self._all = (True,) * len(self._radii)
+        self.radii = tuple(radii)
+        self._rows = tuple(tuple(part / r for part in row) for row, r in zip(self.rim_matrix, self.radii, strict=True))
+        self._all = (True,) * len(self.radii)
         self._solutions: dict[tuple[bool, ...], _Solution | None] = {self._all: self._solve(self._all)}
 
     def wheel_speeds(self, rates: Rates, positions: Sequence[float | None] = ()) -> list[float]:
@@ -117,7 +117,7 @@ class FixedWheels:
             if all(measured):
                 raise
             return None
-        radii = [radius for radius, known in zip(self._radii, measured, strict=True) if known]
+        radii = [radius for radius, known in zip(self.radii, measured, strict=True) if known]
         x, y, z, *more = _scaled(inverse, radii)
         basis = kernel(transpose(rows))  # its projector is I - D D+
         return _Solution(

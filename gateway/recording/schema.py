@@ -316,5 +316,6 @@ def status_row(status: Status) -> Row:
     named["motors"] = [motor._asdict() for motor in status.motors]
     named["ability"] = status.ability._asdict()
     named["sensors"] = [sensor._asdict() for sensor in status.sensors]
+    named["slip"] = None if status.slip is None else status.slip._asdict()
     named["settings"] = {setting.name: setting.value for setting in status.settings}  # their ranges never change
     return (msgspec.json.encode(named).decode(),)

@@ -240,7 +240,7 @@ def test_limits_of_one_step_of_current_are_enough() -> None:
 
 def test_what_it_can_what_it_hears_and_which_ids_it_takes() -> None:
     driver = DjiDriver(BUS, [spec("c620", id=4, name="d"), spec("c610", id=5, name="e")])
-    assert driver.capabilities == (Capabilities(torque=True),) * 2
+    assert driver.capabilities == (Capabilities(torque=True, speed_step=2.0 * pi / 60.0),) * 2  # whole rpm
     assert driver.receive_filters() == ((0x204, 0x7FF, False), (0x205, 0x7FF, False))
     assert driver.ids() == (
         ("dji command of motor d", 0x200, 0x7FF, False),

@@ -13,7 +13,6 @@ from gateway.core.detectors import (
     ReversedDetector,
     RunawayDetector,
     Sample,
-    SlipDetector,
     StallDetector,
 )
 
@@ -356,28 +355,3 @@ def test_a_wheel_that_strained_before_or_in_between_gave_way_is_not_reversed() -
 def test_a_wheel_that_is_not_driven_or_not_known_is_not_reversed(change: Callable[[Sample], Sample]) -> None:
     drive = wheels([-1.0, -0.2, 0.0, 0.0], [FULL, SOME, SOME, SOME])
     assert blamed([[change(one) for one in samples] for samples in drive]) is None
-
-
-def test_slip_has_a_delay_and_a_hysteresis() -> None:
-    detector = SlipDetector()
-    seen = []
-    for residual in [0.049] * 50 + [0.05] * 11 + [0.026] * 50 + [0.024] + [0.049] * 50:
-        detector.look(residual, DT)
-        seen.append(detector.slipping)
-    assert seen == [False] * 60 + [True] * 51 + [False] * 51
-    for _ in range(20):
-        detector.look(1.0, DT)
-    assert detector.slipping
-    detector.look(None, DT)
-    assert not detector.slipping
-
-
-def test_slip_counts_from_its_beginning() -> None:
-    detector = SlipDetector()
-    assert not detector.slipping
-    for residual in [1.0] * 10 + [0.0] + [1.0] * 10:
-        detector.look(residual, DT)
-        assert not detector.slipping
-    detector.look(None, DT)
-    detector.look(1.0, 0.04)
-    assert detector.slipping

@@ -16,7 +16,7 @@ def _reporter() -> Reporter:
 def _told(reporter: Reporter, *refusals: Refusal, now_ns: int = 0, replies: tuple[Reply, ...] = ()) -> list[Event]:
     requests = tuple(Request(RequestKind.RESET, reply.id, now_ns) for reply in replies)
     inputs = Inputs(0, now_ns, refusals=refusals, requests=requests)
-    return list(reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=replies, slipping=False))
+    return list(reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=replies))
 
 
 def _refusal(source: str, code: RefusalCode = RefusalCode.UNKNOWN_SOURCE) -> Refusal:
