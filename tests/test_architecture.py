@@ -56,7 +56,15 @@ ROOMS: dict[str, set[str]] = {
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants"),
     },
     "replay/reproduce": {
-        *("ground", "robot file", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
+        *(
+            "ground",
+            "robot file",
+            "gateway/chassis",
+            "gateway/control",
+            "gateway/kinematics",
+            "gateway/core",
+            "gateway/paths",
+        ),
         *("replay/drive", "replay/sim/plants"),
     },
 }

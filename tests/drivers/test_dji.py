@@ -291,7 +291,7 @@ def test_a_volt_is_a_share_of_the_supply() -> None:
 def test_without_a_voltage_its_windings_brake_so_that_is_what_stops_and_releases_it() -> None:
     driver = DjiDriver(BUS, [gm("voltage", id=3)])
     driver.receive(CanFrame(BUS, 0x207, pack(">HhhBx", 0, 300, 0, 30), received_ns=0))
-    assert driver.capabilities == (Capabilities(voltage=True, brake=True, coast=False),)
+    assert driver.capabilities == (Capabilities(voltage=True, brake=True, coast=False, speed_step=pi / 30),)
     for command, state in ((BRAKE, MotorState.OPERATIONAL), (COAST, MotorState.IDLE)):
         assert driver.command([command], now_ns=0) == [CanFrame(BUS, 0x1FF, bytes(8))]
         assert driver.feedback(now_ns=0)[0].state is state
@@ -302,7 +302,7 @@ def test_in_current_mode_a_stop_frame_brakes_against_the_speed() -> None:
     """A quarter of 100 rad/s are 239 rpm, of which 100 brake with 42 % of what 2 N m need: raw 14741."""
     driver = DjiDriver(BUS, [gm("current", id=2)])
     driver.receive(CanFrame(BUS, 0x206, pack(">HhhBx", 0, 100, 0, 30), received_ns=0))
-    assert driver.capabilities == (Capabilities(torque=True),)
+    assert driver.capabilities == (Capabilities(torque=True, speed_step=pi / 30),)
     (frame,) = driver.stop_frames(now_ns=0)
     assert (frame.id, unpack(">4h", frame.data)) == (0x1FE, (0, -6174, 0, 0))
     with pytest.raises(ValueError, match=r"motor_2: .*BRAKE.*: must be a torque in N m alone, or coast"):
