@@ -79,6 +79,7 @@ class Stage(Enum):
 
 
 _IDLE: Final = Stage.NONE
+_HELD: Final = Stage.HELD
 _AT_WORK: Final = frozenset({Stage.TURNING, Stage.DRIVING, Stage.ENDING})  # the law drives a piece
 _UNDER_WAY: Final = _AT_WORK | {Stage.PLANNED}
 _MANOEUVRING: Final = _UNDER_WAY | {Stage.DONE}
@@ -149,6 +150,11 @@ class RegionPolicy:
         return self._stage in _AT_WORK
 
     @property
+    def asked(self) -> Region:
+        """The way round that it drives, as a command asked for it."""
+        return self._wish.region if self._stage is _HELD and self._wish is not None else _ANY
+
+    @property
     def direction(self) -> tuple[float, float]:
         """Of the piece at work: ahead along the chassis, and across to its left; one of them is 1 or -1."""
         way, size = self._piece()
@@ -206,7 +212,8 @@ class RegionPolicy:
     def share(self, speed: float, seen: Seen, *, at_rest: bool) -> float:
         """Of the setpoint's speed, m/s, that the piece at work may have; `at_rest`: nothing is told to move any more.
 
-        Braking, it stays within its piece as long as it is known how far it is.
+        Braking, it stays within its piece as long as it is known how far it is. It never stops dead, whatever an angle
+        that jumps makes of the way that is left: a fall by twice what is planned is what the limits allow.
         """
         if self._stage is Stage.ENDING:
             if at_rest:
@@ -216,6 +223,8 @@ class RegionPolicy:
             allowed = speed if left is None else landing_speed(left, self._pace().braking)
         else:
             allowed = self._allowed
+        vx, vy = seen.velocity
+        allowed = max(allowed, sqrt(vx * vx + vy * vy) - 2.0 * self._pace().braking * seen.dt)
         self._gone += min(allowed, speed) * seen.dt
         return allowed / speed if allowed < speed else 1.0
 
