@@ -48,6 +48,7 @@ from gateway.control.pull_region import LEAST_SPEED, examine, wrapped
 from gateway.types import Event, Facts, Level, Rates, Region
 
 NOTICE: Final = 0.2  # s, from the plan in `state` to the first motion: time to take the command back. Source: ours
+MOST_WAIT: Final = 2.0  # s for rest at the end of a piece; a tenth of it is usual. Source: ours
 TAKEN_ON: Final = 1.0  # rad of error with which it drives as it is
 HELD_TO: Final = 1.3  # rad of error, while it drives, at which the region is lost; 1.57 is across
 _OF_CORRECTED: Final = 0.9  # of the errors that are corrected, with which it drives as it is
@@ -132,6 +133,7 @@ class RegionPolicy:
         self._goal = 0.0  # of the piece at work: its joint angle, rad, or its way, m
         self._reached = False  # the piece is done, and comes to rest
         self._elapsed = 0.0  # s since the plan
+        self._waited = 0.0  # s for rest at its end
         self._gone = 0.0  # m that the piece at work was told to go
         self._allowed = 0.0  # m/s in this cycle
         self._after = Stage.NONE  # where it is once it has ended
@@ -325,6 +327,7 @@ class RegionPolicy:
         self._reached = self._reached or left <= REACHED * self._axle_offset
         if self._reached:
             self._allowed = 0.0
+            self._waited += seen.dt
             if seen.still:
                 self._begin(self._place + 1, seen)
             return _nothing(target)
@@ -345,6 +348,8 @@ class RegionPolicy:
         if self._stage in _AT_WORK and self._gone > self._most():
             self._after = Stage.REFUSED
             return "driven further than planned: something holds it, or an angle that it goes by is wrong"
+        if self._stage in _AT_WORK and self._waited > MOST_WAIT:
+            return "it does not come to rest"
         return None
 
     def _begin(self, place: int, seen: Seen) -> None:
@@ -359,6 +364,7 @@ class RegionPolicy:
         if place == 0:
             self._joint_goal, self._after = joint, Stage.NONE
         self._place, self._reached, self._allowed, self._gone = place, False, 0.0, 0.0
+        self._waited = 0.0
         piece = self._plan.pieces[place]
         self._stage = _STAGES[piece.way]
         if piece.way is _TURN:

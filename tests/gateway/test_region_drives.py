@@ -273,6 +273,17 @@ def test_every_plan_is_in_the_state_at_once() -> None:
     assert next(t for t in planned if t > 0.7) == pytest.approx(0.76, abs=0.005)
 
 
+def test_a_command_for_much_less_slows_it_down_and_not_at_once() -> None:
+    """0.8 m/s^2, 8 rad/s^2 of a wheel, though no motor has a limit of its own."""
+    config = parse(text().replace(MOTORS, "[[bus]]", 1), "moby")
+    moments = driven(config, say(0.6, 0.5, 180.0, "push"), say(1.7, 0.01, 180.0, "push"), seconds=4.0)
+    told = [one.outputs.trace.wheel_setpoints[0] or 0.0 for one in between(moments, 1.6)]
+    assert max(abs(b - a) * 250.0 for a, b in pairwise(told)) < 10.0
+    assert max(map(speed, between(moments, 3.0))) < 0.012
+    assert set(news(moments)) == {"manoeuvre_planned"}
+    assert broken(moments, config) == {}
+
+
 def test_it_is_as_slow_as_it_is_told_to_be() -> None:
     moments = driven(robot(), say(0.6, 0.1, 180.0, "push"), seconds=6.0)
     assert max(map(speed, moments)) < 0.11
