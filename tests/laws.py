@@ -121,14 +121,15 @@ def manoeuvres_only_as_asked(drive: Drive, config: RobotConfig) -> Iterator[str]
     """A chassis is turned round only for a fresh command that asks for a region, and slower than that commands.
 
     While `state` tells that it is, the joint is driven straight along or across the chassis, no faster than the
-    setpoint, and the platform is not turned; for NOTICE_S before, wheels stand. How far it may get is in no law,
+    setpoint, and the platform is not turned; for NOTICE_S before, wheels stand. A command for less slows it down, and
+    not at once. How far it may get is in no law,
     because pushes and slopes move it too: see tests/gateway/test_region_drives.py.
     """
     if getattr(config.robot, "manoeuvre", None) is None:
         return
     radius, offset, track = (getattr(config.robot, key) for key in ("wheel_radius", "axle_offset", "track"))
     zeros, planned_ns = _Zeros(config), -NOTICE_NS
-    for now in drive:
+    for before, now in zip((None, *drive[:-1]), drive, strict=True):
         zeros = _Zeros(config) if now.inputs.cycle == 0 else zeros
         zeros.receive(now.inputs)
         stage = now.outputs.status.chassis.get("manoeuvre") if now.outputs.status is not None else None
@@ -142,7 +143,9 @@ def manoeuvres_only_as_asked(drive: Drive, config: RobotConfig) -> Iterator[str]
         left, right, joint = (speed or 0.0 for speed in now.outputs.trace.wheel_setpoints)
         along, across = radius * (left + right) / 2.0, offset * radius * (right - left) / track
         turning = joint + across / offset
-        most = min(max(asked, default=0.0), hypot(*now.outputs.trace.setpoint[:2]))
+        most, setpoint = max(asked, default=0.0), hypot(*now.outputs.trace.setpoint[:2])
+        slower = before is not None and setpoint < hypot(*before.outputs.trace.setpoint[:2])
+        most = setpoint if asked and slower else min(most, setpoint)
         if hypot(along, across) > most + ROUNDING or min(abs(along), abs(across)) > ROUNDING or abs(turning) > ROUNDING:
             yield f"{_when(now)}: {stage} at {along}, {across} m/s and {turning} rad/s where {most} m/s are asked for"
         if hypot(along, across) > 0.0 and now.inputs.now_ns - planned_ns < NOTICE_NS:

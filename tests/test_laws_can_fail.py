@@ -11,7 +11,7 @@ import pytest
 from drivers.contract import MotorFeedback
 from gateway.config import parse
 from gateway.control import region_policy
-from gateway.control.drive_law import Measured, Motion, SpeedLaw
+from gateway.control.drive_law import Motion, SpeedLaw
 from gateway.control.limits import TwistLimiter
 from gateway.control.region_policy import RegionPolicy
 from gateway.core import engine, health, supervisor
@@ -143,13 +143,13 @@ def release_the_proportion(patch: Patch) -> None:
 
 def see_again_at_once(patch: Patch) -> None:
     """An angle that comes back while braking is used at once."""
-    motion = SpeedLaw.motion
+    motion = SpeedLaw.motion_at
 
-    def seeing(self: SpeedLaw, setpoint: Twist, measured: Measured, *, braking: bool) -> Motion:
+    def seeing(self: SpeedLaw, setpoint: Twist, angles: Sequence[float | None], *, braking: bool) -> Motion:
         self._blind = False
-        return motion(self, setpoint, measured, braking=braking)
+        return motion(self, setpoint, angles, braking=braking)
 
-    patch.setattr(SpeedLaw, "motion", seeing)
+    patch.setattr(SpeedLaw, "motion_at", seeing)
 
 
 def fall_back_in_one_step(patch: Patch) -> None:

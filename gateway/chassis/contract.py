@@ -83,6 +83,7 @@ class LawParts(NamedTuple):
     accelerations: tuple[float, ...] | None  # rad/s^2; None: no limit of their own
     velocity: Rates  # limits of the body
     acceleration: Rates
+    jerk: Rates
     period: float  # s
     delay: float  # s, by which a measurement may be old
 

@@ -170,6 +170,7 @@ class OffsetDifferentialRobot(Section):
         limits = Limits(
             velocity=min(parts.velocity[:2]),
             acceleration=min(parts.acceleration[:2]),
+            jerk=min(parts.jerk[:2]),
             motor_speed=min(speed / share for speed, share in zip(parts.top_speeds, shares, strict=True)),
         )
         if parts.accelerations is not None:

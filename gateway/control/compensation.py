@@ -10,6 +10,10 @@ in the platform frame, so no heading is needed, and the speed stays what the lim
 It acts behind the limits of the body: a stabiliser that has to wait for a ramp is none. It is bounded by itself: the
 angle of correction moves at most so fast that the wheels can follow, so that switching it on and off, another gain, and
 an error that leaves the region turn the velocity without a step.
+
+On a tight path the balances of push and pull lie close together, and a region about the one holds the other as well: a
+chassis that is pushed round a bend would be turned the other way, or to and fro at the edge of the region. So who does
+not ask to be pulled is corrected from when it is pulled on, and who asks to be pushed never.
 """
 
 from collections.abc import Sequence
@@ -17,10 +21,14 @@ from math import inf, pi, sqrt
 from typing import Final, NamedTuple
 
 from gateway.arithmetic import angle_of, exponential, logarithm, sin_cos
-from gateway.control.pull_region import LEAST_SPEED, Pull, examine
+from gateway.control.pull_region import LEAST_SPEED, PULLED, Pull, examine
+from gateway.types import Region as WayRound
 
 WHOLE_CIRCLE: Final = 3.142  # rad, a region with every error in it: pi as people write it
 _FOUR_DIGITS: Final = 5e-4  # a bound is told with so many: the most that they are off by
+_ACROSS: Final = 0.5 * pi * (1.0 + _FOUR_DIGITS)  # rad; a larger region has errors of a pushed chassis in it on purpose
+_PUSH: Final = WayRound.PUSH
+_PULL: Final = WayRound.PULL
 _DELAY_SLOPE: Final = 1.9  # a twentieth below the slope of the limit where it ends
 _LEAST_SQUARE: Final = LEAST_SPEED * LEAST_SPEED
 _PATH_RATE_TIME: Final = 0.1  # s, over which the rate of a path that nobody tells is averaged
@@ -109,7 +117,7 @@ class PathRate:
 
 
 class Compensation:
-    """State: the angle by which the velocity is turned, rad."""
+    """State: the angle by which the velocity is turned, rad, and whether an error is being corrected."""
 
     def __init__(self, *, gain: float, regions: Sequence[RegionAt], axle_offset: float, authority: float) -> None:
         """`authority`: m/s^2 across the direction of motion with which the correction may turn the velocity."""
@@ -118,23 +126,37 @@ class Compensation:
         self._axle_offset = axle_offset
         self._authority = authority
         self.angle = 0.0
+        self.holds = False
 
     def turn(
-        self, vx: float, vy: float, *, joint: float | None, path_rate: float, dt: float
+        self,
+        vx: float,
+        vy: float,
+        *,
+        joint: float | None,
+        path_rate: float,
+        dt: float,
+        asked: WayRound = WayRound.ANY,
     ) -> tuple[float, float, Pull | None]:
         """The velocity turned, and where the chassis is before it; `joint`: its angle, rad, None: unknown.
 
-        At rest, and while the angle is unknown, nothing is corrected and what was is let go.
+        `asked`: the way round that it is to go. At rest, and while the angle is unknown, nothing is corrected and what
+        was is let go.
         """
         pull = None
         if joint is not None:
             pull = examine(vx, vy, angle=joint, path_rate=path_rate, axle_offset=self._axle_offset)
         if pull is None:
-            self.angle = 0.0
+            self.release()
             return vx, vy, None
         speed, error, angle = pull.speed, pull.error, self.angle
         most = self._authority * dt / speed
-        wanted = -self.gain * error if abs(error) <= region_at(self.regions, speed) else 0.0
+        region = region_at(self.regions, speed)
+        if abs(error) > region or asked is _PUSH:
+            self.holds = False
+        elif pull.region is PULLED or asked is _PULL or region > _ACROSS:
+            self.holds = True
+        wanted = -self.gain * error if self.holds else 0.0
         change = wanted - angle
         if not -most <= change <= most:
             change = most if change > 0.0 else -most
@@ -145,3 +167,4 @@ class Compensation:
     def release(self) -> None:
         """Correct nothing."""
         self.angle = 0.0
+        self.holds = False

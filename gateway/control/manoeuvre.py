@@ -12,8 +12,9 @@ closed: P ends in its place. A has to get from P - d1 e(0) to P - d1 e(D), by 2 
 chassis once that has turned back by (pi - |D|)/2: turn so far back, go so far ahead, turn by (pi + |D|)/2. Half a turn
 is just straight ahead by 2 d1, and half a circle.
 
-Speeds rise steadily, stay within one top speed and fall along v(s) = sqrt(2 b s + (b T)^2) - b T over the way s that is
-left: by b at most, and like s/T at the end, where motors that follow late still do.
+Speeds rise by a at most, which comes and goes with the jerk of the body, stay within one top speed and fall along
+v(s) = sqrt(2 b s + (b T)^2) - b T over the way s that is left: by b at most, and like s/T at the end, where motors that
+follow late still do.
 """
 
 from collections.abc import Sequence
@@ -52,11 +53,12 @@ class Piece(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """m/s and m/s^2 of the joint that a manoeuvre may use: how fast, how it gets there, how it slows down again."""
+    """What a manoeuvre may use of the joint; m/s, m/s^2, and m/s^3 on its way up."""
 
     speed: float
     acceleration: float
     braking: float
+    jerk: float = inf
 
 
 class Plan(NamedTuple):
@@ -135,7 +137,7 @@ def _time(way: float, pace: Pace, axle_offset: float) -> float:
         top = _top_within(way, end, pace)
     steady = max(0.0, way - _rising(top, pace) - _falling(top, end, pace))
     slowing = (top - end) / pace.braking + LANDING_TIME * logarithm(top / end) if top > end else 0.0
-    return top / pace.acceleration + steady / top + slowing
+    return _rise_time(top, pace) + steady / top + slowing
 
 
 def _top_within(way: float, end: float, pace: Pace) -> float:
@@ -150,8 +152,16 @@ def _top_within(way: float, end: float, pace: Pace) -> float:
     return high
 
 
+def _rise_time(top: float, pace: Pace) -> float:
+    """s, with full acceleration in the middle where there is time for it."""
+    if top * pace.jerk >= pace.acceleration * pace.acceleration:
+        return top / pace.acceleration + pace.acceleration / pace.jerk
+    return 2.0 * sqrt(top / pace.jerk)
+
+
 def _rising(top: float, pace: Pace) -> float:
-    return top * top / (2.0 * pace.acceleration)
+    """Way on which it rises to this speed, m: symmetric about its middle."""
+    return 0.5 * top * _rise_time(top, pace)
 
 
 def _falling(top: float, end: float, pace: Pace) -> float:
@@ -162,15 +172,16 @@ def _falling(top: float, end: float, pace: Pace) -> float:
 
 
 class Limits(NamedTuple):
-    """What bounds a manoeuvre: of the body per axis of the floor, and of the motors at the joint, m/s and m/s^2."""
+    """What bounds a manoeuvre: of the body per axis of the floor, and of the motors at the joint; m/s, m/s^2, m/s^3."""
 
     velocity: float
     acceleration: float
     motor_speed: float
     motor_acceleration: float = inf
+    jerk: float = inf
 
     def pace(self, asked: float, axle_offset: float) -> Pace:
         """For a command of this speed, m/s. On the arc half of the acceleration is left for changing speed."""
         steady = sqrt(0.5 * self.acceleration * axle_offset)
         changing = min(0.5 * self.acceleration, 0.5 * self.motor_acceleration)
-        return Pace(min(asked, self.velocity, self.motor_speed, steady), changing, changing)
+        return Pace(min(asked, self.velocity, self.motor_speed, steady), changing, changing, self.jerk)

@@ -40,6 +40,7 @@ _CORRECTED: Final = 1.0  # gain above which an error that is corrected gets smal
 _IN_LINE: Final = (0.0, 0.0, 0.0)  # angles, of a platform that looks along its chassis
 _LEFT, _RIGHT = 0, 1
 _ANY: Final = WayRound.ANY
+_PUSH: Final = WayRound.PUSH
 
 
 class Geometry(NamedTuple):
@@ -166,7 +167,7 @@ class OffsetDifferentialLaw:
         angle = angles[self._geometry.joint]
         vx, vy, pull = self._corrected(vx, vy, angle, rate, measured.dt)
         speed = sqrt(vx * vx + vy * vy)
-        holds = pull is not None and self._holds(pull, speed)
+        holds = self._holds
         events = self._lost(pull, holds=holds)
         share = 1.0 if holds else self._flip_share(vx, vy, speed, angle, pull)
         wanted = (vx * share, vy * share, wz * share)
@@ -234,7 +235,8 @@ class OffsetDifferentialLaw:
         self, vx: float, vy: float, angle: float | None, rate: float, dt: float
     ) -> tuple[float, float, Pull | None]:
         if self._compensation is not None:
-            return self._compensation.turn(vx, vy, joint=angle, path_rate=rate, dt=dt)
+            asked = self._asked
+            return self._compensation.turn(vx, vy, joint=angle, path_rate=rate, dt=dt, asked=asked)
         if angle is None:
             return vx, vy, None
         return vx, vy, examine(vx, vy, angle=angle, path_rate=rate, axle_offset=self._geometry.axle_offset)
@@ -246,23 +248,26 @@ class OffsetDifferentialLaw:
         allowed = self._flip.speed_towards(vx, vy, angle)
         return allowed / speed if allowed < speed else 1.0
 
-    def _holds(self, pull: Pull, speed: float) -> bool:
+    @property
+    def _holds(self) -> bool:
         """Whether a flip is being held off."""
         one = self._compensation
-        if one is None or one.gain <= _CORRECTED:
-            return False
-        return abs(pull.error) <= region_at(one.regions, speed)
+        return one is not None and one.holds and one.gain > _CORRECTED
 
     def _lost(self, pull: Pull | None, *, holds: bool) -> tuple[Event, ...]:
         """What is told where an error has grown beyond those that are corrected; not where the motion turned back."""
         before = self._held
         self._held = pull.error if holds and pull is not None else None
-        if before is None or holds or pull is None or not self._corrects:
+        if before is None or holds or pull is None or not self._corrects or self._asked is _PUSH:
             return ()
         if abs(wrapped(pull.error - before)) > _TURNED_BACK:
             return ()
         off = f"the chassis is {abs(pull.error):.2f} rad off being pulled"
         return (Event(Level.WARNING, LOST, f"{off}, more than is corrected: it flips"),)
+
+    @property
+    def _asked(self) -> WayRound:
+        return _ANY if self._policy is None else self._policy.asked
 
     @property
     def _corrects(self) -> bool:

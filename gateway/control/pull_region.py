@@ -32,7 +32,7 @@ class Region(Enum):
 
 # Members of an enumeration, each looked up once: where every cycle does, it takes a tenth of its time.
 _PUSH: Final = Region.PUSH
-_PULL: Final = Region.PULL
+PULLED: Final = Region.PULL
 
 
 class Pull(NamedTuple):
@@ -141,7 +141,7 @@ def flip_speeds(speed: float, *, wheel_radius: float, axle_offset: float, track:
 def _region(cosine: float) -> Region:
     if abs(cosine) <= _NEUTRAL:
         return Region.NEUTRAL
-    return _PUSH if cosine > 0.0 else _PULL
+    return _PUSH if cosine > 0.0 else PULLED
 
 
 def _tight_way(gamma: float, tightness: float) -> float:

@@ -48,6 +48,7 @@ from gateway.control.pull_region import LEAST_SPEED, examine, wrapped
 from gateway.types import Event, Facts, Level, Rates, Region
 
 NOTICE: Final = 0.2  # s, from the plan in `state` to the first motion: time to take the command back. Source: ours
+MOST_WAIT: Final = 2.0  # s for rest at the end of a piece; a tenth of it is usual. Source: ours
 TAKEN_ON: Final = 1.0  # rad of error with which it drives as it is
 HELD_TO: Final = 1.3  # rad of error, while it drives, at which the region is lost; 1.57 is across
 _OF_CORRECTED: Final = 0.9  # of the errors that are corrected, with which it drives as it is
@@ -79,6 +80,7 @@ class Stage(Enum):
 
 
 _IDLE: Final = Stage.NONE
+_HELD: Final = Stage.HELD
 _AT_WORK: Final = frozenset({Stage.TURNING, Stage.DRIVING, Stage.ENDING})  # the law drives a piece
 _UNDER_WAY: Final = _AT_WORK | {Stage.PLANNED}
 _MANOEUVRING: Final = _UNDER_WAY | {Stage.DONE}
@@ -131,6 +133,7 @@ class RegionPolicy:
         self._goal = 0.0  # of the piece at work: its joint angle, rad, or its way, m
         self._reached = False  # the piece is done, and comes to rest
         self._elapsed = 0.0  # s since the plan
+        self._waited = 0.0  # s for rest at its end
         self._gone = 0.0  # m that the piece at work was told to go
         self._allowed = 0.0  # m/s in this cycle
         self._after = Stage.NONE  # where it is once it has ended
@@ -147,6 +150,11 @@ class RegionPolicy:
     def at_work(self) -> bool:
         """Whether a piece is driven, or braked."""
         return self._stage in _AT_WORK
+
+    @property
+    def asked(self) -> Region:
+        """The way round that it drives, as a command asked for it."""
+        return self._wish.region if self._stage is _HELD and self._wish is not None else _ANY
 
     @property
     def direction(self) -> tuple[float, float]:
@@ -206,7 +214,8 @@ class RegionPolicy:
     def share(self, speed: float, seen: Seen, *, at_rest: bool) -> float:
         """Of the setpoint's speed, m/s, that the piece at work may have; `at_rest`: nothing is told to move any more.
 
-        Braking, it stays within its piece as long as it is known how far it is.
+        Braking, it stays within its piece as long as it is known how far it is. It never stops dead, whatever an angle
+        that jumps makes of the way that is left: a fall by twice what is planned is what the limits allow.
         """
         if self._stage is Stage.ENDING:
             if at_rest:
@@ -216,6 +225,8 @@ class RegionPolicy:
             allowed = speed if left is None else landing_speed(left, self._pace().braking)
         else:
             allowed = self._allowed
+        vx, vy = seen.velocity
+        allowed = max(allowed, sqrt(vx * vx + vy * vy) - 2.0 * self._pace().braking * seen.dt)
         self._gone += min(allowed, speed) * seen.dt
         return allowed / speed if allowed < speed else 1.0
 
@@ -316,6 +327,7 @@ class RegionPolicy:
         self._reached = self._reached or left <= REACHED * self._axle_offset
         if self._reached:
             self._allowed = 0.0
+            self._waited += seen.dt
             if seen.still:
                 self._begin(self._place + 1, seen)
             return _nothing(target)
@@ -336,6 +348,8 @@ class RegionPolicy:
         if self._stage in _AT_WORK and self._gone > self._most():
             self._after = Stage.REFUSED
             return "driven further than planned: something holds it, or an angle that it goes by is wrong"
+        if self._stage in _AT_WORK and self._waited > MOST_WAIT:
+            return "it does not come to rest"
         return None
 
     def _begin(self, place: int, seen: Seen) -> None:
@@ -350,6 +364,7 @@ class RegionPolicy:
         if place == 0:
             self._joint_goal, self._after = joint, Stage.NONE
         self._place, self._reached, self._allowed, self._gone = place, False, 0.0, 0.0
+        self._waited = 0.0
         piece = self._plan.pieces[place]
         self._stage = _STAGES[piece.way]
         if piece.way is _TURN:

@@ -78,6 +78,7 @@ def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
         accelerations=None if accelerations is None else tuple(accelerations[name] for name in names),
         velocity=limits.velocity.as_rates(kinematics.axes),
         acceleration=limits.acceleration.as_rates(kinematics.axes),
+        jerk=limits.jerk.as_rates(kinematics.axes),
         period=1.0 / config.loop.rate,
         delay=feedback_delay(config),
     )

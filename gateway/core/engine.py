@@ -69,6 +69,7 @@ _IDLE: Final = Mode.IDLE
 _STARTING: Final = Mode.STARTING
 _FAULT: Final = Mode.FAULT
 _BODY: Final = TwistFrame.BODY
+_ODOM: Final = TwistFrame.ODOM
 _DEGRADED: Final = Mode.DEGRADED
 _ESTOP: Final = Mode.ESTOP
 _OPERATIONAL: Final = MotorState.OPERATIONAL
@@ -522,7 +523,7 @@ class Engine:
             aim = self._reached(target)
             if self._selects:
                 whole = self._mode is not _DEGRADED
-                aim = self._law.aim(aim, measured, region=region, path_rate=path_rate, whole=whole)
+                aim = self._law.aim(aim, measured, region=region, path_rate=_path_rate(asked), whole=whole)
             _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
@@ -667,6 +668,13 @@ def _turned_back(rates: Rates, turned: float) -> Rates:
         return rates
     s, c = sin_cos(turned)
     return (c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], *rates[2:])
+
+
+def _path_rate(asked: TwistCommand | None) -> float | None:
+    """As it is told; a velocity over the ground leads straight on, whatever the platform turns by."""
+    if asked is None:
+        return None
+    return 0.0 if asked.path_rate is None and asked.frame is _ODOM else asked.path_rate
 
 
 def _seconds(nanoseconds: int | None) -> float | None:

@@ -119,14 +119,18 @@ def test_the_wheels_of_the_kinematics_drive_it_and_the_platform_keeps_its_headin
 
 
 def seconds_driven(found: Plan, axle_offset: float) -> float:
-    """As the law drives it: rising, its top speed, landing, in steps of 0.1 ms; and 0.1 s to stand after each piece."""
-    seconds, h = 0.0, 1e-4
+    """As the law drives it: rising, its top speed, landing, in steps of 0.1 ms; and 0.1 s to stand after each piece.
+
+    Acceleration grows by the jerk, and falls by it towards top speed: to sqrt(2 j v) with v left of the speed.
+    """
+    seconds, h, (top, most, braking, jerk) = 0.0, 1e-4, found.pace
     for way, size in found.pieces:
-        left, speed = abs(size) * (axle_offset if way is Way.TURN else 1.0), 0.0
+        left, speed, rate = abs(size) * (axle_offset if way is Way.TURN else 1.0), 0.0, 0.0
         while left > 0.01 * axle_offset:
-            tail = 0.15 * found.pace.braking
-            landing = math.sqrt(2.0 * found.pace.braking * left + tail**2) - tail
-            speed = min(speed + found.pace.acceleration * h, found.pace.speed, landing)
+            tail = 0.15 * braking
+            landing = math.sqrt(2.0 * braking * left + tail**2) - tail
+            rate = min(rate + jerk * h, most, math.sqrt(2.0 * jerk * max(top - speed, 0.0)) + 0.01 * most)
+            speed = min(speed + rate * h, top, landing)
             left -= speed * h
             seconds += h
         seconds += 0.1
@@ -141,6 +145,16 @@ def test_it_lasts_as_long_as_it_says(form: Form, turn: float, pace: Pace) -> Non
     assert found.duration == pytest.approx(seconds_driven(found, D1), abs=0.01)
 
 
+@pytest.mark.parametrize("form", Form)
+@pytest.mark.parametrize("turn", [0.8, 1.6, 3.1])
+@pytest.mark.parametrize("pace", [Pace(0.3, 0.4, 0.4, 0.5), Pace(0.1, 0.4, 0.4, 0.2), Pace(0.3, 0.4, 0.4, 4.0)])
+def test_a_jerk_that_is_low_takes_its_time(form: Form, turn: float, pace: Pace) -> None:
+    found = plan(form, turn, pace, axle_offset=D1)
+    assert found.duration == pytest.approx(seconds_driven(found, D1), rel=0.05)
+    hard = plan(form, turn, pace._replace(jerk=math.inf), axle_offset=D1)
+    assert found.duration > hard.duration + 0.02
+
+
 @given(left=st.floats(1e-6, 10.0), braking=st.floats(0.01, 5.0))
 def test_it_lands_by_no_more_than_its_braking(left: float, braking: float) -> None:
     """-v dv/ds, by central differences."""
@@ -153,8 +167,11 @@ def test_it_lands_by_no_more_than_its_braking(left: float, braking: float) -> No
 def test_its_pace_is_within_the_command_the_body_and_the_motors() -> None:
     """On an arc of 0.25 m, 0.8 m/s^2: 0.4 are for turning, sqrt(0.4 0.25) = 0.3162 m/s, and 0.4 for changing speed."""
     limits = Limits(velocity=1.2, acceleration=0.8, motor_speed=2.0)
-    assert limits.pace(5.0, 0.25) == pytest.approx((0.316228, 0.4, 0.4), abs=1e-6)
+    assert limits.pace(5.0, 0.25) == pytest.approx((0.316228, 0.4, 0.4, math.inf), abs=1e-6)
+    assert limits._replace(jerk=0.5).pace(5.0, 0.25).jerk == 0.5
     assert limits.pace(0.1, 0.25).speed == 0.1
     assert limits._replace(velocity=0.2).pace(5.0, 0.25).speed == 0.2
     assert limits._replace(motor_speed=0.15).pace(5.0, 0.25).speed == 0.15
-    assert limits._replace(motor_acceleration=0.5).pace(5.0, 0.25) == pytest.approx((0.316228, 0.25, 0.25), abs=1e-6)
+    assert limits._replace(motor_acceleration=0.5).pace(5.0, 0.25) == pytest.approx(
+        (0.316228, 0.25, 0.25, math.inf), abs=1e-6
+    )

@@ -17,6 +17,7 @@ from gateway.control.compensation import (
     region_refusal,
 )
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, flip_way, goal_of, settled, turn_radius
+from gateway.types import Region as WayRound
 
 D1, C = 0.25, 1.2  # m, m/s
 EVERYWHERE = (RegionAt(0.0, math.pi),)
@@ -306,3 +307,38 @@ def test_the_limit_with_an_old_angle_by_hand() -> None:
     for delay, limit in ((one * 0.999999, one), (0.61, 0.0)):
         got = longest_period(2.0, axle_offset=D1, speed=C, delay=delay * D1 / C)
         assert got * C / D1 == pytest.approx(limit, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("asked", "region", "corrects"),
+    [
+        (WayRound.ANY, 1.57, False),
+        (WayRound.PULL, 1.57, True),
+        (WayRound.PUSH, 1.57, False),
+        (WayRound.ANY, 1.6, True),  # a region with errors beyond neutral steering in it, on purpose
+        (WayRound.PUSH, 1.6, False),
+    ],
+)
+def test_pushed_round_a_bend_only_who_asks_to_be_pulled_is_corrected(
+    asked: WayRound, region: float, *, corrects: bool
+) -> None:
+    """d1 over the radius 0.8: pushed it lies at asin 0.8 = 0.927 rad, 1.287 rad off the balance of pull at 2.214."""
+    one = Compensation(gain=2.0, regions=(RegionAt(0.0, region),), axle_offset=D1, authority=1e9)
+    *_, pull = one.turn(C, 0.0, joint=0.927, path_rate=0.8 * C / D1, dt=1e-3, asked=asked)
+    assert pull is not None
+    assert pull.error == pytest.approx(-1.287, abs=1e-3)
+    assert (one.angle != 0.0) is corrects
+
+
+def test_what_is_corrected_stays_so_across_neutral_steering_and_not_for_who_asks_to_be_pushed() -> None:
+    one = Compensation(gain=2.0, regions=(RegionAt(0.0, 1.57),), axle_offset=D1, authority=1e9)
+
+    def angle(joint: float, asked: WayRound = WayRound.ANY) -> float:
+        one.turn(C, 0.0, joint=joint, path_rate=0.8 * C / D1, dt=1e-3, asked=asked)
+        return one.angle
+
+    assert angle(1.5) == 0.0  # pushed
+    assert angle(1.6) != 0.0
+    assert angle(1.5) != 0.0
+    assert angle(1.5, WayRound.PUSH) == 0.0
+    assert angle(1.5) == 0.0

@@ -183,7 +183,7 @@ def test_the_next_piece_begins_from_rest() -> None:
     robot.moving = False
     robot.run(0.5, (0.5, 0.0, 0.0), PUSH)
     robot.moving = True
-    robot.run(5.0, (0.5, 0.0, 0.0), PUSH)
+    robot.run(2.5, (0.5, 0.0, 0.0), PUSH)
     assert (robot.stage, robot.speed) == ("turning", 0.0)
     robot.moving = False
     robot.cycle((0.5, 0.0, 0.0), PUSH)
@@ -221,6 +221,17 @@ def test_one_that_did_not_lead_there_is_not_tried_again() -> None:
     robot.run(1.0, (0.5, 0.0, 0.0), PUSH)
     assert robot.stage == "refused"
     assert robot.facts["manoeuvre_reason"] == "the manoeuvre has not reached the push region"
+
+
+def test_one_that_does_not_come_to_rest_ends() -> None:
+    """Something moves when its piece is done, a slope or a hand; it waited for rest for ever, and said nothing."""
+    robot = Robot(math.pi)
+    robot.run(1.0, (0.5, 0.0, 0.0), PUSH, until="turning")
+    robot.moving = True
+    robot.run(8.0, (0.5, 0.0, 0.0), PUSH)
+    assert "manoeuvre_ended" in robot.codes
+    assert "manoeuvre_done" not in robot.codes
+    assert robot.stage in {"resting", "held"}
 
 
 def test_with_a_motor_lost_it_begins_none_and_ends_the_one_at_work() -> None:
