@@ -66,6 +66,8 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.detectors.ReversedDetector": frozenset(),
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
     "gateway.core.detectors.SlipDetector": frozenset(),
+    "gateway.core.torque_loss.TorqueLossDetector": frozenset({"_least", "_mechanics"}),
+    "gateway.core.torque_loss._Missing": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
