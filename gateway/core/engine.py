@@ -26,7 +26,7 @@ from gateway.control.limits import TwistLimiter, excess, scale_to
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
-from gateway.core.assembly import build
+from gateway.core.assembly import Robot, build
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
 from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
@@ -39,6 +39,7 @@ from gateway.core.slip_model import slip_model
 from gateway.core.standstill import Standstill
 from gateway.core.supervisor import Situation, next_mode
 from gateway.core.targets import more_of
+from gateway.core.torque_loss import Mechanics, TorqueLossDetector
 from gateway.kinematics.contract import Estimate
 from gateway.types import (
     PLANAR,
@@ -117,6 +118,7 @@ class Engine:
         self._abilities = Abilities(config, robot)
         self._ability: Ability | None = FULL
         self._health = HealthMonitor(robot.names, limits=robot.limits)
+        self._torque_loss = _torque_loss_detector(robot, config)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz)
@@ -234,6 +236,8 @@ class Engine:
         elapsed, longest = max(now_ns - last_ns, 0) * 1e-9, MAX_STEP_PERIODS * self._period
         if elapsed > longest:
             self._health.look_anew()
+            if self._torque_loss is not None:
+                self._torque_loss.forget()
         return min(elapsed, longest)
 
     def _receive(self, inputs: Inputs) -> Inputs:
@@ -352,8 +356,18 @@ class Engine:
             out_of_reach=motors.on_buses(tuple(self._buses_down)) if self._buses_down else (),
             energised=self._energised,
             redundant=measured.estimate is not None and measured.estimate.residual is not None,
+            powerless=self._powerless(measured) if self._torque_loss is not None else None,
             now_ns=measured.now_ns,
         )
+
+    def _powerless(self, measured: Measured) -> tuple[int, str] | None:
+        """The motor whose torque does not arrive; wheels that slip do not tell how the body moves."""
+        detector = self._torque_loss
+        if detector is None:
+            return None
+        judged = self._mode in DRIVING and not measured.slipping and measured.estimate is not None
+        twist = measured.estimate.twist if judged and measured.estimate is not None else None
+        return detector.look(twist, measured.torques, measured.dt)
 
     def _other_faults(self, measured: Measured) -> list[Fault]:
         """Buses that are down, and joints that are heard but stand at an angle nobody knows."""
@@ -655,6 +669,22 @@ class Engine:
             settings=self._settings.describe(),
             slip=None if self._slip is None else self._slip.describe(measured),
         )
+
+
+def _torque_loss_detector(robot: Robot, config: RobotConfig) -> TorqueLossDetector | None:
+    """None: its geometry depends on joint angles, or on more than a twist."""
+    kinematics = robot.kinematics
+    if kinematics.steered or kinematics.axes != PLANAR:
+        return None
+    body = config.robot.body
+    mechanics = Mechanics(
+        kinematics.matrix(),
+        config.robot.inertia([0.0] * len(robot.names)),
+        rotor=body.joint_inertia,
+        friction=body.joint_friction,
+        drag=body.joint_drag,
+    )
+    return TorqueLossDetector(mechanics, [limits.torque for limits in robot.limits])
 
 
 def _appeared(before: Sequence[MotorFeedback], now: Sequence[MotorFeedback]) -> bool:

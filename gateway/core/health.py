@@ -3,7 +3,8 @@
 How this works
 --------------
 Three independent sources: age of the feedback, state that does not match what was asked (both judged by the driver),
-and what the motor's numbers say (`gateway.core.detectors`). An error code alone is never relied on.
+and what the motor's numbers say (`gateway.core.detectors`, `gateway.core.torque_loss`). An error code alone is never
+relied on.
 A motor that fails while the robot is energised is lost until the robot is back in IDLE, whatever becomes of the cause:
 it is released and not driven again. A motor whose bus is down is not lost yet but out of reach: it may still be doing
 what it was last told, so once the bus is back it goes on braking if it still obeys, and is lost if it does not.
@@ -34,6 +35,7 @@ class FaultKind(Enum):
     FROZEN = "frozen"  # the encoder stands still, the wheel does not
     RUNAWAY = "runaway"  # speeds up against its torque
     REVERSED = "reversed"  # moves against its torque
+    TORQUE_LOST = "torque_lost"  # what it pushes does not arrive
     FOLLOWING = "following"  # speed does not follow the setpoint
     TWIN = "twin"  # two controllers answer as one
     POSITION_UNKNOWN = "position_unknown"  # a joint angle the geometry needs
@@ -130,11 +132,13 @@ class HealthMonitor:
         out_of_reach: Collection[int] = (),
         energised: bool,
         redundant: bool = False,
+        powerless: tuple[int, str] | None = None,
         now_ns: int,
     ) -> Health:
         """Health of this cycle. `others`: faults found elsewhere; `out_of_reach`: motors on a bus that is down.
 
-        `redundant`: there are more wheels than ways to move, so that each can be told from the others.
+        `redundant`: there are more wheels than ways to move, so that each can be told from the others. `powerless`: the
+        place of a motor whose torque does not arrive, and that in words.
         """
         present: list[Fault] = []
         backwards = self._reversed.look(samples) if redundant else None
@@ -146,7 +150,11 @@ class HealthMonitor:
             if motor.state is _OPERATIONAL:
                 if energised:
                     self._obeyed.add(index)
-                fault = self._detected(index, samples[index]) or self._blamed(index, backwards)
+                fault = (
+                    self._blamed(index, FaultKind.TORQUE_LOST, powerless)
+                    or self._detected(index, samples[index])
+                    or self._blamed(index, FaultKind.REVERSED, backwards)
+                )
             else:
                 fault = self._reported(index, motor, energised=energised)
             if fault is not None:
@@ -187,10 +195,11 @@ class HealthMonitor:
                 return Fault(kind, self._names[index], text, latched=True)
         return None
 
-    def _blamed(self, index: int, backwards: tuple[int, str] | None) -> Fault | None:
-        if backwards is None or backwards[0] != index:
+    def _blamed(self, index: int, kind: FaultKind, blamed: tuple[int, str] | None) -> Fault | None:
+        """What was found by looking at all motors together."""
+        if blamed is None or blamed[0] != index:
             return None
-        return Fault(FaultKind.REVERSED, self._names[index], backwards[1], latched=True)
+        return Fault(kind, self._names[index], blamed[1], latched=True)
 
     def _judge(self, present: Sequence[Fault]) -> Health:
         for fault in present:

@@ -68,6 +68,8 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.slip.SlipDetector": frozenset({"_floor", "_model", "_names"}),
     "gateway.core.slip._SpinWatch": frozenset({"_model", "_nothing"}),
     "gateway.core.slip_isolation.Isolation": frozenset({"_model"}),
+    "gateway.core.torque_loss.TorqueLossDetector": frozenset({"_least", "_mechanics"}),
+    "gateway.core.torque_loss._Missing": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
     ),
