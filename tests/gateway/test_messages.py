@@ -27,6 +27,7 @@ from gateway.types import (
     RefusalCode,
     Region,
     Reply,
+    SlipStatus,
     SourceStatus,
     Status,
     Twist,
@@ -71,6 +72,7 @@ STATUS = Status(
     cycle=17,
     ability=AbilityStatus(2, 0.5, 0.3, (Twist(0.3, 0.0, 0.0), Twist(0.0, 0.3, 0.1)), (Twist(0.0, 0.0, 1.0),)),
     chassis={"region": "pull", "turn_radius": None},
+    slip=SlipStatus(slipping=True, wheels=("left",), evidence=("torque",), threshold=0.01, tells="that a wheel slips"),
 )
 
 
