@@ -24,7 +24,7 @@ class Section(BaseModel):
 
 
 class Body(Section):
-    """Mass properties of the whole robot, for the simulated world and for telling a motor whose torque is lost."""
+    """Mass properties of the whole robot: for the simulated world, and to find a wheel that slips or a torque lost."""
 
     mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
     inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]
