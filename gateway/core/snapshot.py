@@ -67,7 +67,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
     "gateway.core.detectors.SlipDetector": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
-        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
+        {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
         {"_accelerations", "_features", "_flip", "_geometry", "_longest_period", "_period"}
