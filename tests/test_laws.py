@@ -43,3 +43,14 @@ def test_nor_does_one_that_is_asked_for_regions(seed: int, can_brake: bool, form
     config = parse(text.replace("[[bus]]", limits, 1), "moby")
     found = drive(seed, config, can_brake=can_brake).violations
     assert {law: broken[0] for law, broken in found.items() if broken} == {}
+
+
+@pytest.mark.parametrize("saturation", ["both", "translation", "rotation"])
+@pytest.mark.parametrize(("seed", "can_brake"), [(30, False), (31, False), (130, True)])
+def test_nor_does_one_whose_wheels_are_its_limit_whatever_is_kept(seed: int, can_brake: bool, saturation: str) -> None:
+    """omni4 with wheels of 25 rad/s and 40 rad/s^2, where its limits of the body ask for more."""
+    text = robot_text("omni4").replace('name = "omni4"', f'name = "omni4"\nsaturation = "{saturation}"', 1)
+    wheels = ", ".join(f"{name} = 40.0" for name in ("front_left", "rear_left", "rear_right", "front_right"))
+    text = text.replace(" = 45.0", " = 25.0").replace("\n[[bus]]", f"motor_acceleration = {{ {wheels} }}\n\n[[bus]]", 1)
+    found = drive(seed, parse(text, "omni4"), can_brake=can_brake).violations
+    assert {law: broken[0] for law, broken in found.items() if broken} == {}

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import ClassVar, NamedTuple, Protocol
 
+from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw
 from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.linear import Matrix
@@ -100,6 +101,10 @@ class Chassis(Protocol):
     def name(self) -> str: ...
     @property
     def body(self) -> Body: ...
+    @property
+    def saturation(self) -> Saturation:
+        """What is kept where wheels or floor cannot give all."""
+        ...
 
     def motor_names(self) -> tuple[str, ...]:
         """Motors of the chassis; the order of every per-motor sequence in the core."""

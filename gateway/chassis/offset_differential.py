@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Numbers, Trailing
 from gateway.control.compensation import WHOLE_CIRCLE, Compensation, RegionAt, longest_period, region_refusal
+from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
 from gateway.control.manoeuvre import Form, Limits
 from gateway.control.offset_law import Geometry, OffsetDifferentialLaw
@@ -94,6 +95,7 @@ class OffsetDifferentialRobot(Section):
 
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
+    saturation: ClassVar[Saturation] = Saturation.BOTH  # its wheels turn and drive it at once: nothing to choose
 
     kind: Literal["offset_differential"]
     name: Name

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
@@ -65,6 +66,7 @@ class OmniRobot(Section):
     name: Name
     body: Body
     wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
+    saturation: Saturation = Saturation.BOTH
 
     def motor_names(self) -> tuple[str, ...]:
         """Motors of the chassis in wheel order."""

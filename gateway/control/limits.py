@@ -16,10 +16,11 @@ Axes beyond the twist (`Rates`) accelerate nothing but themselves.
 """
 
 from math import ceil, sqrt
-from typing import Final
+from typing import Final, Protocol
 
 from drivers.records import maker
 from gateway.arithmetic import dot
+from gateway.control.wheel_limits import WheelLimits
 from gateway.types import PLANAR, Rates, Twist
 
 _twist: Final = maker(Twist)
@@ -29,6 +30,16 @@ LEAST_SHARE: Final = 0.2  # of an acceleration limit that changing speed always 
 _ROUNDING: Final = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
 _UNROLLED: Final = len(PLANAR)  # most robots have no more axes, and loops over so few cost twice as much
 _LINE_TOLERANCE: Final = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
+
+
+class Course(Protocol):
+    """A way of its own from a setpoint to its target; keeps nothing."""
+
+    def step(
+        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float
+    ) -> tuple[Rates, Rates, tuple[str, ...]]:
+        """Setpoint and its rate after dt seconds, and the names of the limits at work."""
+        ...
 
 
 def excess(vector: Rates, limits: Rates) -> float:
@@ -47,7 +58,7 @@ def excess(vector: Rates, limits: Rates) -> float:
 def scale_to(vector: Rates, limits: Rates) -> Rates:
     """The vector, shortened until every axis is within its limit."""
     worst = excess(vector, limits)
-    return vector if worst <= 1.0 else _scaled(vector, 1.0 / worst)
+    return vector if worst <= 1.0 else scaled(vector, 1.0 / worst)
 
 
 def turning_excess(rates: Rates, acceleration: Rates) -> float:
@@ -62,7 +73,7 @@ def stopping_time(*, velocity: Rates, acceleration: Rates, jerk: Rates) -> float
     Straight on it is L + 1/rho, or 2 sqrt(L/rho) where full acceleration is never reached. In a curve w x v takes up
     to TURNING_SHARE = k of the limits: with v = s v0, ds/dt = -(1 - k s^2)/L needs atanh(sqrt k)/sqrt k times as long.
     """
-    length, slowness = excess(velocity, acceleration), 1.0 / _slope(acceleration, jerk)
+    length, slowness = excess(velocity, acceleration), 1.0 / landing_slope(acceleration, jerk)
     straight = length + slowness if length >= slowness else 2.0 * sqrt(length * slowness)
     return straight * _TURNING_DELAY
 
@@ -80,11 +91,22 @@ def stopping_distance(*, velocity: Rates, acceleration: Rates, jerk: Rates) -> f
 class TwistLimiter:
     """The moving setpoint: position (`rates`, of every axis that has limits) and rate (its acceleration)."""
 
-    def __init__(self, *, velocity: Rates, acceleration: Rates, jerk: Rates) -> None:
+    def __init__(
+        self,
+        *,
+        velocity: Rates,
+        acceleration: Rates,
+        jerk: Rates,
+        wheels: WheelLimits | None = None,
+        course: Course | None = None,
+    ) -> None:
+        """`wheels`: where their acceleration is limited; `course`: another way to go than the straight line."""
+        self._wheels = wheels
+        self._course = course
         self._velocity = velocity
         self._acceleration = acceleration
         self._jerk = jerk
-        self._rho = _slope(acceleration, jerk)
+        self._rho = landing_slope(acceleration, jerk)
         self._turn_x = TURNING_SHARE * acceleration[1]  # of |wz vx|, which accelerates along y
         self._turn_y = TURNING_SHARE * acceleration[0]
         self._zero: Rates = (0.0,) * len(velocity)
@@ -108,8 +130,8 @@ class TwistLimiter:
 
     def scale(self, factor: float) -> None:
         """A later limit shortened the setpoint: continue from what is really driven."""
-        self.rates = _scaled(self.rates, factor)
-        self._rate = _scaled(self._rate, factor)
+        self.rates = scaled(self.rates, factor)
+        self._rate = scaled(self._rate, factor)
 
     def step(
         self, target: Rates, dt: float, *, effort: float = 1.0, headroom: float = 1.0
@@ -120,25 +142,31 @@ class TwistLimiter:
         `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
         is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
         """
-        wanted, active = self._holdable(target)
         before = self.rates
+        if self._course is not None:
+            after, self._rate, active = self._course.step(before, self._rate, target, dt=dt, effort=effort)
+            return self._held_back(before, after, headroom), active
+        wanted, active = self._holdable(target)
         if dt <= 0.0 or (wanted == before and self._rate == self._zero):
             return before, active
         aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
-        way = _sum(aim, before, -1.0)
+        way = summed(aim, before, -1.0)
         if self._arrives(way, dt):
-            after, self._rate = aim, _scaled(way, 1.0 / dt)
+            after, self._rate = aim, scaled(way, 1.0 / dt)
         else:
             self._turn_rate(way, dt, effort)
-            after = scale_to(_sum(before, self._rate, dt), self._velocity)
+            after = scale_to(summed(before, self._rate, dt), self._velocity)
             active = (*active, "acceleration")
+        return self._held_back(before, after, headroom), active
+
+    def _held_back(self, before: Rates, after: Rates, headroom: float) -> Rates:
+        """Take this step, with this much of every axis that grows."""
         if headroom < 1.0 and _grows(before, after):
             after = self._hold_back(before, after, headroom)
         self.rates = after
-        return after, active
+        return after
 
     def _hold_back(self, before: Rates, after: Rates, headroom: float) -> Rates:
-        """The step with this much of every axis that grows."""
         shares = [headroom if abs(new) > abs(old) else 1.0 for old, new in zip(before, after, strict=True)]
         self._rate = tuple([rate * share for rate, share in zip(self._rate, shares, strict=True)])
         return tuple([old + share * (new - old) for old, new, share in zip(before, after, shares, strict=True)])
@@ -155,8 +183,8 @@ class TwistLimiter:
                 self.reset()
             return self.rates
         falling = -self._rate_along(along) / square  # 1/s
-        self._rate = _scaled(self.rates, -max(0.0, falling))
-        way = _scaled(self.rates, -1.0)
+        self._rate = scaled(self.rates, -max(0.0, falling))
+        way = scaled(self.rates, -1.0)
         if self._arrives(way, dt):
             self.reset()
             return self.rates
@@ -165,7 +193,7 @@ class TwistLimiter:
         if left <= 0.0:
             self.reset()
             return self.rates
-        self.rates = _scaled(self.rates, min(left, 1.0))
+        self.rates = scaled(self.rates, min(left, 1.0))
         return self.rates
 
     def _rate_along(self, direction: Rates) -> float:
@@ -182,7 +210,7 @@ class TwistLimiter:
         turning = turning_excess(wanted, self._acceleration)
         if turning <= 1.0:
             return wanted, active
-        return _scaled(wanted, 1.0 / sqrt(turning)), (*active, "turning")
+        return scaled(wanted, 1.0 / sqrt(turning)), (*active, "turning")
 
     def _line_leaves(self, wanted: Rates) -> bool:
         """Whether the straight line to a holdable twist passes through twists that are not."""
@@ -206,34 +234,50 @@ class TwistLimiter:
         return (to_vx * speed, to_vy * speed, max(-turn, min(turn, to_wz)), *wanted[3:])
 
     def _arrives(self, way: Rates, dt: float) -> bool:
-        """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
-        if excess(way, self._acceleration) > dt:
+        if self._wheels is not None and self._wheels.seconds(way, self._wheels.accelerations) > dt:
             return False
-        rate = _scaled(way, 1.0 / dt)
-        change = _sum(rate, self._rate, -1.0)
-        return excess(rate, self._jerk) <= dt and excess(change, self._jerk) <= dt * _ROUNDING
+        return arrives(way, self._rate, self._acceleration, self._jerk, dt)
 
     def _turn_rate(self, way: Rates, dt: float, effort: float) -> None:
-        length = excess(way, self._spare(way)) / effort
-        gain = min(1.0, self._landing_rate(length / dt, self._rho * dt)) / length if length > 0.0 else 0.0
-        change = _sum(_scaled(way, gain), self._rate, -1.0)
-        worst = excess(change, self._jerk) / dt
-        self._rate = _sum(self._rate, change, 1.0 / worst if worst > 1.0 else 1.0)
-
-    def _spare(self, way: Rates) -> Rates:
-        """What turning leaves of the acceleration limits in the direction of the way."""
-        vx, vy, wz = self.rates[:3]
-        limits = self._acceleration
-        return (_left(limits[0], -wz * vy, way[0]), _left(limits[1], wz * vx, way[1]), *limits[2:])
-
-    @staticmethod
-    def _landing_rate(way: float, fall: float) -> float:
-        """Rate from which steps that fall by `fall` each cover the way (in rate times steps) and end at zero."""
-        steps = max(1, ceil(sqrt(0.25 + 2.0 * way / fall) - 0.5 - 1e-9))
-        return way / steps + fall * (steps - 1) / 2.0
+        length = excess(way, spare(self.rates, self._acceleration, way)) / effort
+        if self._wheels is not None:
+            length = max(length, self._wheels.seconds(way, self._wheels.accelerations))
+        self._rate = turned(self._rate, way, length, self._jerk, slope=self._rho, dt=dt)
 
 
-def _slope(acceleration: Rates, jerk: Rates) -> float:
+def arrives(way: Rates, rate: Rates, acceleration: Rates, jerk: Rates, dt: float) -> bool:
+    """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
+    if excess(way, acceleration) > dt:
+        return False
+    last = scaled(way, 1.0 / dt)
+    change = summed(last, rate, -1.0)
+    return excess(last, jerk) <= dt and excess(change, jerk) <= dt * _ROUNDING
+
+
+def turned(rate: Rates, way: Rates, length: float, jerk: Rates, *, slope: float, dt: float) -> Rates:
+    """The rate turned towards the way, as far as the jerk limits let it in a step.
+
+    `length`: s that the way takes at full acceleration; `slope`: see `landing_slope`.
+    """
+    gain = min(1.0, _landing_rate(length / dt, slope * dt)) / length if length > 0.0 else 0.0
+    change = summed(scaled(way, gain), rate, -1.0)
+    worst = excess(change, jerk) / dt
+    return summed(rate, change, 1.0 / worst if worst > 1.0 else 1.0)
+
+
+def spare(rates: Rates, acceleration: Rates, way: Rates) -> Rates:
+    """What turning leaves of the acceleration limits in the direction of the way."""
+    vx, vy, wz = rates[:3]
+    return (_left(acceleration[0], -wz * vy, way[0]), _left(acceleration[1], wz * vx, way[1]), *acceleration[2:])
+
+
+def _landing_rate(way: float, fall: float) -> float:
+    """Rate from which steps that fall by `fall` each cover the way (in rate times steps) and end at zero."""
+    steps = max(1, ceil(sqrt(0.25 + 2.0 * way / fall) - 0.5 - 1e-9))
+    return way / steps + fall * (steps - 1) / 2.0
+
+
+def landing_slope(acceleration: Rates, jerk: Rates) -> float:
     """The jerk limit in units of the acceleration limits, 1/s; the slowest axis counts."""
     return min(j / a for j, a in zip(jerk, acceleration, strict=True))
 
@@ -261,14 +305,15 @@ def _grows(before: Rates, after: Rates) -> bool:
     return any(abs(new) > abs(old) for old, new in zip(before, after, strict=True))
 
 
-def _scaled(vector: Rates, factor: float) -> Rates:
+def scaled(vector: Rates, factor: float) -> Rates:
+    """vector times factor"""
     if len(vector) == _UNROLLED:
         x, y, z = vector
         return (x * factor, y * factor, z * factor)
     return tuple([value * factor for value in vector])
 
 
-def _sum(vector: Rates, other: Rates, factor: float) -> Rates:
+def summed(vector: Rates, other: Rates, factor: float) -> Rates:
     """vector + factor * other"""
     if len(vector) == _UNROLLED:
         x, y, z = vector

@@ -8,9 +8,12 @@ from drivers.checks import id_conflicts
 from drivers.contract import Capabilities, Driver, MotorSpec
 from gateway.chassis.contract import LawParts
 from gateway.config import ConfigError, Motor, RobotConfig
+from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import DriveLaw
+from gateway.control.limits import TwistLimiter
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
+from gateway.control.wheel_limits import WheelLimits
 from gateway.core.detectors import Limits
 from gateway.core.settings import problems_of_file
 from gateway.kinematics.contract import GeometryError, Kinematics
@@ -61,6 +64,31 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
         law=config.robot.law(_law_parts(config, kinematics)),
+    )
+
+
+def limiter(config: RobotConfig, robot: Robot) -> TwistLimiter:
+    """Its setpoint, with the limits of wheels whose geometry no joint angle changes; other wheels are their law's."""
+    axes, limits = robot.kinematics.axes, config.limits
+    velocity, acceleration, jerk = (of.as_rates(axes) for of in (limits.velocity, limits.acceleration, limits.jerk))
+    if robot.kinematics.steered:
+        return TwistLimiter(velocity=velocity, acceleration=acceleration, jerk=jerk)
+    given = limits.motor_acceleration
+    wheels = WheelLimits(
+        robot.kinematics.matrix(),
+        speeds=tuple(motor.speed for motor in robot.limits),
+        accelerations=() if given is None else tuple(given[name] for name in robot.names),
+    )
+    first = config.robot.saturation
+    course = None
+    if first is not Saturation.BOTH:
+        course = Decoupled(first, velocity=velocity, acceleration=acceleration, jerk=jerk, wheels=wheels)
+    return TwistLimiter(
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=jerk,
+        wheels=None if given is None else wheels,
+        course=course,
     )
 
 

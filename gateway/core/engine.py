@@ -22,12 +22,12 @@ from drivers.records import maker
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
-from gateway.control.limits import TwistLimiter, excess, scale_to
+from gateway.control.limits import excess, scale_to
 from gateway.control.slip_correction import SlipCorrection
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
-from gateway.core.assembly import Robot, build
+from gateway.core.assembly import Robot, build, limiter
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
 from gateway.core.joint_trust import UNKNOWN, JointTrust
 from gateway.core.motors import Motors
@@ -111,11 +111,7 @@ class Engine:
         axes = robot.kinematics.axes
         self._more = axes[len(PLANAR) :]
         self._velocity = config.limits.velocity.as_rates(axes)
-        self._limiter = TwistLimiter(
-            velocity=self._velocity,
-            acceleration=config.limits.acceleration.as_rates(axes),
-            jerk=config.limits.jerk.as_rates(axes),
-        )
+        self._limiter = limiter(config, robot)
         self._abilities = Abilities(config, robot)
         self._ability: Ability | None = FULL
         self._health = HealthMonitor(robot.names, limits=robot.limits)

@@ -71,7 +71,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.torque_loss.TorqueLossDetector": frozenset({"_least", "_mechanics"}),
     "gateway.core.torque_loss._Missing": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
-        {"_acceleration", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_zero"}
+        {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
         {"_accelerations", "_features", "_flip", "_geometry", "_longest_period", "_period"}

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
 from gateway.config import ConfigError, RobotConfig, parse, parse_as
+from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import Measured, SpeedLaw
 from gateway.control.limits import TwistLimiter, excess
 from gateway.core.channels import layout_of
@@ -42,6 +43,7 @@ class FourAxes(Section):
 
     GEOMETRY: ClassVar[str] = "distance and radius"
     AXES: ClassVar[tuple[str, ...]] = AXES
+    saturation: ClassVar[Saturation] = Saturation.BOTH
 
     kind: Literal["four_axes"]
     name: Name
