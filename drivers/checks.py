@@ -92,12 +92,6 @@ def whole_number(low: int, high: int, meaning: str) -> Option:
     return Option(lambda value: type(value) is int and low <= value <= high, f"{low} to {high}, {meaning}")
 
 
-def number(low: float, high: float, meaning: str) -> Option:
-    """An option that is a number of this range; NaN is in none."""
-    allowed = f"{low:g} to {high:g} {meaning}"
-    return Option(lambda value: not isinstance(value, bool | str) and low <= value <= high, allowed)
-
-
 def one_of(words: Iterable[str], meaning: str) -> Option:
     """An option that is one of these."""
     known = tuple(words)

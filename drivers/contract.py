@@ -104,6 +104,7 @@ class MotorSpec(NamedTuple):
     command_rate: float  # Hz, at which `command` is called
     watchdog_s: float | None  # the controller's own command timeout; None: waived in the robot file, with the reason
     options: Mapping[str, OptionValue] = MappingProxyType({})  # the driver's own, as typed: it checks them itself
+    supply: float | None = None  # V at the controller; None: the robot file does not tell
 
 
 class Traffic(NamedTuple):

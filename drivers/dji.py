@@ -37,7 +37,6 @@ from drivers.checks import (
     check_specs,
     feedback_timeout_ns,
     measuring_hz,
-    number,
     one_of,
 )
 from drivers.contract import (
@@ -122,9 +121,8 @@ MODES: Final[dict[str, dict[str, Mode]]] = {
     },
 }
 GM6020_RPM_PER_V: Final = 13.33  # the manual, v1.4, as public drivers quote it
-SUPPLY: Final = (18.0, 28.0)  # V; six cells, empty and full, and a power supply of 24 V
+SUPPLY: Final = (18.0, 28.0)  # V; six cells, empty and full, and a power supply of 24 V; source: ours
 _MODE: Final = one_of(MODES["gm6020"], "as it is set in DJI's tool, which CAN does not tell")
-_SUPPLY: Final = number(*SUPPLY, "V at the motor, of which a command is a share")
 
 
 class _Motor:
@@ -413,14 +411,9 @@ def _feedback_id(motor: MotorSpec) -> int:
 def _scale(motor: MotorSpec, mode: Mode) -> tuple[int, float]:
     """The largest raw value within all limits, and raw per N m or V. What a voltage does is for who commands it."""
     if mode.raw_per_ampere is None:
-        return mode.raw_limit, mode.raw_limit / _supply(motor)
+        return mode.raw_limit, mode.raw_limit / (motor.supply or SUPPLY[1])  # checked before: it is never left out
     ampere = min(motor.max_current, motor.max_torque / mode.torque_constant)
     return min(mode.raw_limit, int(ampere * mode.raw_per_ampere)), mode.raw_per_ampere / mode.torque_constant
-
-
-def _supply(motor: MotorSpec) -> float:
-    """V; checked before."""
-    return float(motor.options["supply"])
 
 
 def _shared(identifier: int, group: int, motors: Sequence[_Motor]) -> SharedFrame:
@@ -463,13 +456,9 @@ def _check_feedback_ids(motors: Sequence[MotorSpec]) -> None:
 
 
 def _check_options(motor: MotorSpec) -> None:
-    """Raise ValueError unless a controller of several modes is told in which it is, and of which supply a volt is."""
-    if len(MODES[motor.variant]) == 1:
-        check_options(motor, {}, of="driver dji")
-    elif motor.options.get("mode") == "current":
-        check_options(motor, {"mode": _MODE}, of=f"a {motor.variant} in current mode")
-    else:
-        check_options(motor, {"mode": _MODE, "supply": _SUPPLY}, of=f"a {motor.variant} in voltage mode")
+    """Raise ValueError unless it is told in which of its modes a controller is that has several."""
+    known = {} if len(MODES[motor.variant]) == 1 else {"mode": _MODE}
+    check_options(motor, known, of=f"a {motor.variant}")
 
 
 def _check_torque(motor: MotorSpec) -> None:
@@ -481,12 +470,17 @@ def _check_torque(motor: MotorSpec) -> None:
 
 
 def _voltage_bounds(motor: MotorSpec) -> list[Bound]:
-    """No motor turns faster than its supply lets it, and what it cannot do it is not to be asked for."""
+    """Of a voltage, which is a share of the supply: no motor turns faster than that lets it. ValueError without one."""
     if _mode(motor).kind is not _VOLTAGE:
         return []
-    volts = _supply(motor)
-    why = f"a {motor.variant} turns {GM6020_RPM_PER_V} rpm per volt without a load, and options.supply = {volts:g} V"
-    return [Bound("max_speed", motor.max_speed, 0.0, volts * GM6020_RPM_PER_V * RAD_S_PER_RPM, "rad/s", why)]
+    volts, share = motor.supply, f"a {motor.variant} in voltage mode gives a share of its supply"
+    if volts is None:
+        raise ValueError(f"motor {motor.name}: winding is missing: {share}, which is winding.voltage")
+    why = f"a {motor.variant} turns {GM6020_RPM_PER_V} rpm per volt without a load, and winding.voltage = {volts:g}"
+    return [
+        Bound("winding.voltage", volts, *SUPPLY, "V", share),
+        Bound("max_speed", motor.max_speed, 0.0, volts * GM6020_RPM_PER_V * RAD_S_PER_RPM, "rad/s", why),
+    ]
 
 
 def _turn_bounds(motor: MotorSpec) -> list[Bound]:

@@ -119,8 +119,19 @@ _MOVED_FROM_WATCHDOG = {
 }
 
 
+class Winding(Section):
+    """Of a motor that is told voltages: ohm between its terminals, V s/rad (or N m/A) at its shaft, V that it has.
+
+    The resistance is best taken from the torque-speed line of a data sheet, which has all that is lost on the way.
+    """
+
+    resistance: Annotated[float, Field(ge=1e-3, le=100.0, description="ohm")]
+    back_emf: Annotated[float, Field(ge=1e-4, le=10.0, description="V s/rad at the motor shaft")]
+    voltage: Annotated[float, Field(ge=1.0, le=100.0, description="V")]
+
+
 class SpeedLoop(Section):
-    """Host-side PI speed loop of a motor whose controller takes only torque; gains at the motor's output."""
+    """Host-side PI speed loop of a motor whose controller takes no speed; gains at the motor's output."""
 
     kp: Positive  # N m per rad/s
     ki: NonNegative  # N m per rad
@@ -146,6 +157,7 @@ class Motor(Section):
     watchdog: Watchdog | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
+    winding: Winding | None = None  # of a motor that is told voltages
     options: dict[Annotated[str, Field(max_length=64)], Option] = Field({}, max_length=32)  # the driver's own
 
     @model_validator(mode="before")

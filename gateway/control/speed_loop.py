@@ -1,4 +1,4 @@
-"""PI speed loop on the host, for controllers that take only torque (DJI). All at the motor's output."""
+"""PI speed loop on the host, for controllers that take no speed (DJI). All at the motor's output."""
 
 
 class SpeedLoop:

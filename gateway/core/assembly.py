@@ -12,7 +12,7 @@ from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import DriveLaw
 from gateway.control.limits import TwistLimiter
 from gateway.control.speed_loop import SpeedLoop
-from gateway.control.transmission import Transmission
+from gateway.control.transmission import Transmission, Winding
 from gateway.control.wheel_limits import WheelLimits
 from gateway.core.detectors import Limits
 from gateway.core.settings import problems_of_file
@@ -58,7 +58,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
         groups=groups,
-        transmissions=tuple(Transmission(motor.gear_ratio * motor.direction, motor.zero) for motor in motors),
+        transmissions=tuple(map(_transmission, motors, able)),
         speed_loops=loops,
         capabilities=tuple(map(_with_loop, able, loops)),
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
@@ -164,7 +164,16 @@ def _spec(motor: Motor, command_rate: float) -> MotorSpec:
         command_rate=command_rate,
         watchdog_s=None if motor.watchdog is None else motor.watchdog.timeout,
         options=motor.options,
+        supply=None if motor.winding is None else motor.winding.voltage,
     )
+
+
+def _transmission(motor: Motor, able: Capabilities) -> Transmission:
+    """With the windings of a motor that takes nothing but a voltage."""
+    given = motor.winding
+    alone = able.voltage and not (able.torque or able.velocity)
+    winding = Winding(given.resistance, given.back_emf) if given is not None and alone else None
+    return Transmission(motor.gear_ratio * motor.direction, motor.zero, winding)
 
 
 def _speed_loop(motor: Motor) -> SpeedLoop | None:
@@ -187,7 +196,23 @@ def _loop_problem(able: Capabilities, motor: Motor) -> str | None:
         return "speed_loop has no use: its controller has one of its own" if given else None
     if able.torque:
         return None if given else "speed_loop is missing: its controller takes only torque"
-    return f"variant = {motor.variant!r}: its controller takes neither a speed nor a torque, so nothing here drives it"
+    if able.voltage:
+        return _voltage_problem(motor)
+    return f"variant = {motor.variant!r}: its controller takes no speed, torque or voltage, so nothing here drives it"
+
+
+def _voltage_problem(motor: Motor) -> str | None:
+    """What is wrong with a motor that takes only a voltage: of its current its controller knows nothing."""
+    if motor.speed_loop is None:
+        return "speed_loop is missing: its controller takes only a voltage"
+    if motor.winding is None:
+        return "winding is missing: its controller takes only a voltage, and a torque is made one with its constants"
+    most = motor.max_current * motor.winding.back_emf * motor.gear_ratio
+    if motor.max_torque > most:
+        return (
+            f"max_torque = {motor.max_torque:g}: must be at most {most:.3g}: what max_current and winding.back_emf give"
+        )
+    return None
 
 
 def _capabilities(groups: Sequence[Group]) -> tuple[Capabilities, ...]:
@@ -201,5 +226,7 @@ def _capabilities(groups: Sequence[Group]) -> tuple[Capabilities, ...]:
 
 
 def _with_loop(able: Capabilities, loop: SpeedLoop | None) -> Capabilities:
-    """What the joint can that has this controller and this speed loop on the host."""
-    return able if loop is None else able._replace(velocity=True, brake=True, feed_forward=True, limit=True)
+    """What the joint can that has this controller and this speed loop on the host, which knows torques."""
+    if loop is None:
+        return able
+    return able._replace(velocity=True, torque=True, brake=True, feed_forward=True, limit=True)

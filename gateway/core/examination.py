@@ -130,6 +130,8 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
         )
     overloaded += _wild_loops(config, robot)
+    spare = _spare_torques(config, robot)
+    overloaded += [f"{words} nothing" for words, left, _ in spare if left <= 0.0]
     loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=feedback_delay(config))
     overloaded += [
         f"loop.rate = {config.loop.rate:g} Hz: too slow for {one.name} at limits.velocity: {one.needed}"
@@ -165,6 +167,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
                 limit=limit,
                 loop_limits=loop_limits,
                 strain=(strained, torque_share),
+                spare=spare,
             )
         ),
     )
@@ -269,6 +272,23 @@ def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:
     ]
 
 
+def _spare_torques(config: RobotConfig, robot: Robot) -> list[tuple[str, float, float]]:
+    """Of each motor that is told voltages: words, the N m that its supply leaves at its top speed, and max_torque."""
+    found = []
+    for motor, gear in zip(config.motors_in_order(), robot.transmissions, strict=True):
+        if gear.winding is None or motor.winding is None:
+            continue
+        speed = config.limits.motor_speed[motor.name]
+        needed = gear.winding.voltage(0.0, speed * motor.gear_ratio)
+        left = (motor.winding.voltage - needed) / gear.winding.volts_per_torque * motor.gear_ratio
+        words = (
+            f"motor {motor.name}: at limits.motor_speed = {speed:g} rad/s winding.back_emf takes {needed:.3g} of "
+            f"winding.voltage = {motor.winding.voltage:g} V, which leaves"
+        )
+        found.append((words, left, motor.max_torque))
+    return found
+
+
 def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
     """Rad/s^2 per N m with which wheels give way at most, all of them on the ground: the lightest way to move."""
     body = config.robot.body
@@ -298,6 +318,7 @@ def _warnings(
     limit: Rates,
     loop_limits: tuple[LoopLimit, ...],
     strain: tuple[str, float],
+    spare: list[tuple[str, float, float]],
 ) -> list[str]:
     found = [
         f"bus {bus.bus}: load {bus.load:.0%}; stay below {LOAD_WARNING:.0%}" for bus in buses if bus.load > LOAD_WARNING
@@ -313,6 +334,7 @@ def _warnings(
             f"limits.acceleration, all axes at once, asks {share:.0%} of the torque of motor {name}: "
             "such twists are held back as far as the motors follow"
         )
+    found += [f"{words} {left:.3g} N m of max_torque = {most:g}" for words, left, most in spare if left < most]
     found += [
         f"loop.rate = {config.loop.rate:g} Hz is too slow for {one.name}: {one.needed}"
         for one in loop_limits

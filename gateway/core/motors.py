@@ -17,7 +17,6 @@ _SILENT: Final = MotorState.SILENT
 _OPERATIONAL: Final = MotorState.OPERATIONAL
 _VELOCITY: Final = CommandKind.VELOCITY
 _BRAKE: Final = CommandKind.BRAKE
-_TORQUE: Final = CommandKind.TORQUE
 _COAST: Final = CommandKind.COAST
 
 STANDSTILL: Final = 0.005  # of the motor's top speed
@@ -38,9 +37,11 @@ class Motors:
             for bus in {group.bus for group in robot.groups}
         }
         size = len(robot.names)
+        self._untold = tuple(index for index, gear in enumerate(robot.transmissions) if gear.winding is not None)
         self._standstill = tuple(STANDSTILL * limits.speed for limits in robot.limits)
         self.feedback: tuple[MotorFeedback, ...] = (MotorFeedback(_SILENT),) * size
         self.setpoints: tuple[float | None, ...] = (None,) * size  # rad/s; None: released, or not told a speed
+        self._wanted: list[float | None] = [None] * size  # N m at the output that our speed loops asked for
 
     def receive(self, frames: Sequence[CanFrame]) -> None:
         """Hand every frame to the driver it belongs to; what belongs to nobody is left out."""
@@ -95,12 +96,13 @@ class Motors:
         `expected`: the speed of each as the other wheels have it, asked only where it matters.
         """
         fresh_ns = measured.dt * 1e9
+        torques = self._torques(measured)
         return [
             Sample(
                 self.setpoints[index],
                 measured.speeds[index],
                 measured.positions[index],
-                measured.torques[index],
+                torques[index],
                 fresh=age_ns is not None and age_ns <= fresh_ns,
                 driving=driving,
                 dt=measured.dt,
@@ -113,7 +115,7 @@ class Motors:
         """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
         lag = 0.0
         for setpoint, speed, torque, limits in zip(
-            self.setpoints, measured.speeds, measured.torques, self._robot.limits
+            self.setpoints, measured.speeds, self._torques(measured), self._robot.limits
         ):
             if setpoint is None or speed is None:
                 continue
@@ -167,19 +169,31 @@ class Motors:
         """Every motor in words and numbers."""
         return tuple([self._status(index, measured) for index in range(len(self.feedback))])
 
+    def _torques(self, measured: Measured) -> Sequence[float | None]:
+        """As measured; of a motor that is told voltages and tells no torque, that which its voltage was meant for."""
+        if not self._untold:
+            return measured.torques
+        torques = list(measured.torques)
+        for index in self._untold:
+            if torques[index] is None:
+                torques[index] = self._wanted[index]
+        return torques
+
     def _command(self, index: int, command: JointCommand, measured: Measured) -> MotorCommand:
-        """From the joint to the shaft. Without a speed loop of its own the controller gets the torque of ours."""
+        """From the joint to the shaft. Without a speed loop of its own the controller gets what ours wants."""
         loop, gear = self._robot.speed_loops[index], self._robot.transmissions[index]
-        kind = command.kind
+        kind, speed = command.kind, measured.speeds[index]
         if loop is not None:
             if kind is _VELOCITY or kind is _BRAKE:
-                speed, dt = measured.speeds[index], measured.dt
+                dt = measured.dt
                 torque = loop.torque(command.value, speed, dt, feed_forward=command.feed_forward, limit=command.limit)
-                return MotorCommand(_TORQUE, gear.motor_torque(torque))
+                self._wanted[index] = torque
+                return gear.torque_command(torque, speed)
             loop.reset()
+            self._wanted[index] = None
         if kind is _COAST:
             return COAST
-        return BRAKE if kind is _BRAKE else gear.motor_command(command)
+        return BRAKE if kind is _BRAKE else gear.motor_command(command, speed)
 
     def _status(self, index: int, measured: Measured) -> MotorStatus:
         feedback = self.feedback[index]

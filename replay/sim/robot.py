@@ -227,5 +227,6 @@ def _device(motor: Motor, inertia: float) -> SimulatedDevice:
             watchdog_s=None if motor.watchdog is None else motor.watchdog.timeout,
             absolute=motor.encoder == "absolute",
             options=motor.options,
+            supply=None if motor.winding is None else motor.winding.voltage,
         )
     )

@@ -34,10 +34,10 @@ ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
 }
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
 DRIVER_TYPES: dict[str, DriverType] = DRIVERS | {"reply_only": ReplyOnlyDriver}
-# Controllers that are set up in one of several modes: variant and options of each. Volts are those of 24.
+# Controllers that are set up in one of several modes: variant and options of each.
 MODES: dict[str, tuple[str, Mapping[str, OptionValue]]] = {
     "gm6020 current": ("gm6020", {"mode": "current"}),
-    "gm6020 voltage": ("gm6020", {"mode": "voltage", "supply": 24.0}),
+    "gm6020 voltage": ("gm6020", {"mode": "voltage"}),
 }
 UNDER_CONTRACT = [
     *(pair for pair in PAIRS if pair[1] not in {variant for variant, _ in MODES.values()}),
@@ -56,9 +56,11 @@ def spec(
 ) -> MotorSpec:
     """A motor of 100 rad/s (in voltage mode 33), 2 N m and 20 A."""
     rate = None if variant in ReplyOnlyDriver.variants else 250.0
-    top = 33.0 if variant == "gm6020 voltage" else 100.0
+    top, supply = (33.0, 24.0) if variant == "gm6020 voltage" else (100.0, None)
     variant, modes = MODES.get(variant, (variant, options))
-    return MotorSpec(name or f"motor_{id}", id, variant, top, 2.0, 20.0, rate, 250.0, watchdog_s, options or modes)
+    return MotorSpec(
+        *(name or f"motor_{id}", id, variant, top, 2.0, 20.0, rate, 250.0, watchdog_s, options or modes), supply=supply
+    )
 
 
 def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:

@@ -40,6 +40,7 @@ class Shop:
                 None,
             ),
             options=motor.options,
+            supply=motor.supply,
         )
         self.device: SimulatedDevice = (CONTROLLERS | {"reply_only": SimulatedReplier})[driver](setup)
         self.driver: Driver = DRIVER_TYPES[driver](BUS, [motor])

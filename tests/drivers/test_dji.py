@@ -1,6 +1,6 @@
 """DJI: turns counted across gaps, shared command frames, silence."""
 
-from math import pi
+from math import nan, pi
 from struct import pack, unpack
 
 import pytest
@@ -281,7 +281,7 @@ def test_every_id_and_mode_has_its_command_frame_its_slot_and_its_answer() -> No
 
 def test_a_volt_is_a_share_of_the_supply() -> None:
     for supply, raw in ((24.0, 12500), (20, 15000), (28.0, 10714)):
-        motor = gm("voltage", id=1)._replace(options={"mode": "voltage", "supply": supply}, max_speed=25.0)
+        motor = gm("voltage", id=1)._replace(supply=supply, max_speed=25.0)
         driver = DjiDriver(BUS, [motor])
         driver.receive(CanFrame(BUS, 0x205, bytes(8), received_ns=0))
         (frame,) = driver.command([MotorCommand(CommandKind.VOLTAGE, 12.0)], now_ns=1)
@@ -372,25 +372,31 @@ def test_what_it_has_to_be_told() -> None:
     def made(**options: OptionValue) -> DjiDriver:
         return DjiDriver(BUS, [gm("voltage", id=1)._replace(options=options)])
 
-    made(mode="voltage", supply=24)
+    made(mode="voltage")
     made(mode="current")
+    DjiDriver(BUS, [gm("current", id=1)._replace(supply=None)])
     for options, words in (
         ({}, r"motor_1: options.mode is missing: must be 'current' or 'voltage', as it is set in DJI's tool"),
         ({"mode": "speed"}, r"motor_1: options.mode = 'speed': must be 'current' or 'voltage'"),
-        ({"mode": "voltage"}, r"motor_1: options.supply is missing: must be 18 to 28 V at the motor"),
-        ({"mode": "voltage", "supply": 48.0}, r"motor_1: options.supply = 48.0: must be 18 to 28 V"),
-        (
-            {"mode": "current", "supply": 24.0},
-            r"options.supply = 24.0: no such option; a gm6020 in current mode has mode$",
-        ),
+        ({"mode": "current", "supply": 24.0}, r"options.supply = 24.0: no such option; a gm6020 has mode$"),
     ):
         with pytest.raises(ValueError, match=words):
             made(**options)
+    for supply, words in (
+        (
+            None,
+            r"motor_1: winding is missing: a gm6020 in voltage mode gives a share of its supply, which is winding.v",
+        ),
+        (48.0, r"motor_1: winding.voltage = 48: must be 18 to 28 V: a gm6020 in voltage mode gives a share"),
+        (nan, r"motor_1: winding.voltage = nan: must be"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            DjiDriver(BUS, [gm("voltage", id=1)._replace(supply=supply)])
 
 
 def test_no_motor_turns_faster_than_its_supply_lets_it() -> None:
     motor = gm("voltage", id=1)
     DjiDriver(BUS, [motor._replace(max_speed=33.5)])
-    words = r"motor_1: max_speed = 33.6: must be 0 to 33.5019 rad/s: a gm6020 turns 13.33 rpm per volt .*supply = 24 V"
+    words = r"motor_1: max_speed = 33.6: must be 0 to 33.5019 rad/s: a gm6020 turns 13.33 rpm per volt .*voltage = 24"
     with pytest.raises(ValueError, match=words):
         DjiDriver(BUS, [motor._replace(max_speed=33.6)])

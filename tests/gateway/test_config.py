@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from drivers import DRIVERS
 from drivers.contract import Capabilities, Traffic
 from drivers.odrive.group import OdriveDriver
+from drivers.setpoint import CommandKind, MotorCommand
 from gateway.config import Bus, ConfigError, load, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
@@ -103,7 +104,7 @@ def test_speed_loops_follow_the_capabilities_of_each_motor_of_a_group(monkeypatc
         build(parse(robot_text("moby"), "moby"))
     missing, useless = caught.value.problems
     assert missing == "motor right: speed_loop is missing: its controller takes only torque"
-    assert useless.startswith("motor platform: variant = '0.6': its controller takes neither a speed nor a torque")
+    assert useless == "motor platform: speed_loop is missing: its controller takes only a voltage"
     able = (full, Capabilities(torque=True), full)
     gains = "speed_loop = { kp = 1.0, ki = 1.0 }\n"
     robot = build(parse(robot_text("moby").replace("id = 2\n", "id = 2\n" + gains, 1), "moby"))
@@ -229,10 +230,12 @@ MORE: dict[str, Any] = {
     "recording": {"segment_seconds": 300.0, "segment_bytes": 10**8, "disk_budget": 10**9, "min_free": 10**8},
     "stop": {"category": 1},
 }
-DOCUMENTS = {name: MORE | tomllib.loads(robot_text(name)) for name in NAMES}
+VOLTS = "omni4_gm6020"  # of which only what the others have not
+DOCUMENTS = {name: MORE | tomllib.loads(robot_text(name)) for name in (*NAMES, VOLTS)}
 for document in DOCUMENTS.values():
     document["zenoh"] = MORE["zenoh"] | document["zenoh"]
 PLACES = [(name, place) for name in NAMES for place in places(DOCUMENTS[name])]
+PLACES += [(VOLTS, place) for place in places(DOCUMENTS[VOLTS]) if {"winding", "speed_loop"} & set(place)]
 NUMBERS = st.one_of(
     st.floats(),
     st.integers(),
@@ -452,3 +455,62 @@ def test_check_draws_and_tells_how_hard_omni4_pushes_in_each_direction() -> None
     assert " -------oo----------+----------oo-------" in shown
     assert "1.73 at 60 deg" in shown
     assert "effective" not in drivegate("check", "moby").stdout
+
+
+# -- motors that are told voltages ------------------------------------------------------------------------------------
+
+WINDING = "winding = { resistance = 8.7, back_emf = 0.741, voltage = 24.0 }"
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "words"),
+    [
+        ("speed_loop = { kp = 0.5, ki = 1.2 }", "", "speed_loop is missing: its controller takes only a voltage"),
+        (WINDING, "", "winding is missing: a gm6020 in voltage mode gives a share of its supply"),
+        (WINDING, WINDING.replace("24.0", "48.0"), "winding.voltage = 48: must be 18 to 28 V"),
+        (WINDING, WINDING.replace("8.7", "0.0"), "winding.resistance = 0.0: Input should be greater than or equal to"),
+        ("max_current = 1.62", "max_current = 1.0", "max_torque = 1.2: must be at most 0.741: what max_current and"),
+        ('mode = "voltage"', 'mode = "torque"', "options.mode = 'torque': must be 'current' or 'voltage'"),
+        ("id = 1 ", "id = 0 ", "id = 0: must be 1 to 7 for gm6020"),
+    ],
+)
+def test_what_a_motor_needs_that_is_told_voltages(right: str, wrong: str, words: str) -> None:
+    text = robot_text(VOLTS)
+    assert right in text
+    with pytest.raises(ConfigError) as caught:
+        build(parse(text.replace(right, wrong, 1), "r"))
+    assert f"motor front_left: {words}" in str(caught.value) or f"motor[0].{words}" in str(caught.value)
+
+
+def test_a_torque_becomes_a_voltage_only_where_the_controller_takes_nothing_else() -> None:
+    """By hand, through a gear of 2 the wrong way round: 1.2 N m and 5 rad/s are 0.6 and 10 at the shaft."""
+    text = robot_text(VOLTS).replace("gear_ratio = 1.0\ndirection = 1", "gear_ratio = 2.0\ndirection = -1", 1)
+    text = text.replace("id = 2                 #", "id = 2  #").replace('mode = "voltage"', 'mode = "current"')
+    text = text.replace('mode = "current"', 'mode = "voltage"', 1).replace("max_speed = 26.0", "max_speed = 12.0")
+    for speed in ("front_left", "rear_left", "rear_right", "front_right"):
+        text = text.replace(f"{speed} = 24.0", f"{speed} = 12.0")
+    robot = build(parse(text, "r"))
+    first, second, *_ = robot.transmissions
+    told = first.torque_command(1.2, 5.0)
+    assert told.kind is CommandKind.VOLTAGE
+    assert told.value == pytest.approx(-(0.6 * 8.7 / 0.741 + 0.741 * 10.0))
+    assert first.torque_command(1.2, None) == MotorCommand(CommandKind.VOLTAGE, 0.0), "nothing drives blind"
+    assert second.torque_command(1.2, 5.0) == second.torque_command(1.2, None) == MotorCommand(CommandKind.TORQUE, 1.2)
+    joints = {(able.velocity, able.torque, able.voltage, able.brake, able.feed_forward) for able in robot.capabilities}
+    assert joints == {(True, True, True, True, True), (True, True, False, True, True)}
+
+
+def test_check_tells_what_torque_the_supply_leaves_at_top_speed() -> None:
+    """By hand: 24 V less 0.741 * 24 rad/s, through 8.7 ohm, times 0.741."""
+    text = robot_text(VOLTS)
+    words = (
+        "motor front_left: at limits.motor_speed = 24 rad/s winding.back_emf takes 17.8 of winding.voltage = 24 V, "
+        "which leaves 0.529 N m of max_torque = 1.2"
+    )
+    assert words in examine(parse(text, "r"), "r").warnings
+    slow = text.replace("_left = 24.0", "_left = 13.0").replace("_right = 24.0", "_right = 13.0")
+    assert not any("winding" in warning for warning in examine(parse(slow, "r"), "r").warnings)
+    with pytest.raises(
+        ConfigError, match=r"motor front_left: .* takes 24.1 of winding.voltage = 24 V, .* leaves nothing"
+    ):
+        examine(parse(text.replace("0.741,", "1.004,", 1), "r"), "r")

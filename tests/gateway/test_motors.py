@@ -12,7 +12,7 @@ from gateway.config import parse
 from gateway.control import drive_law
 from gateway.control.drive_law import JointCommand, Measured
 from gateway.control.speed_loop import SpeedLoop
-from gateway.control.transmission import Transmission
+from gateway.control.transmission import Transmission, Winding
 from gateway.core.assembly import Group, build
 from gateway.core.detectors import Limits
 from gateway.core.motors import Motors
@@ -53,13 +53,16 @@ class Notes:
         return [CanFrame("can", min(self.ids), b"stop", received_ns=now_ns)]
 
 
-def robot() -> tuple[Motors, list[Notes]]:
-    """Motors a, b and c of 20 rad/s and 10 N m: a and c on can0 have a driver each, b on can1 a loop on the host."""
+def robot(winding: Winding | None = None) -> tuple[Motors, list[Notes]]:
+    """Motors a, b and c of 20 rad/s and 10 N m: a and c on can0 have a driver each, b on can1 a loop on the host.
+
+    `winding`: of b, which is then told voltages.
+    """
     drivers: list[Any] = [Notes({1}, [SILENT]), Notes({1, 2}, [SILENT]), Notes({1, 3}, [SILENT])]
     built = build(parse(robot_text("omni4"), "omni4"))._replace(
         names=("a", "b", "c"),
         groups=(Group("can0", drivers[0], (0,)), Group("can0", drivers[1], (2,)), Group("can1", drivers[2], (1,))),
-        transmissions=(Transmission(-4.0, 0.25), Transmission(2.0, 0.0), Transmission(1.0, 0.0)),
+        transmissions=(Transmission(-4.0, 0.25), Transmission(2.0, 0.0, winding), Transmission(1.0, 0.0)),
         speed_loops=(None, SpeedLoop(kp=1.0, ki=10.0, max_torque=10.0), None),
         limits=(Limits(20.0, 10.0),) * 3,
     )
@@ -220,3 +223,29 @@ def test_status() -> None:
         ("b", "silent", 7.0, None, None, None, None, None, None),
     )
     assert len(motors.status(found)) == 3
+
+
+def test_a_motor_that_is_told_voltages_counts_as_giving_the_torque_that_they_are_for() -> None:
+    """b through a gear of 2, k = 0.5, R = 2: 2 N m at the output and 1 rad/s are 1 N m and 2 rad/s, so 4 + 1 V."""
+    motors, drivers = robot(Winding(resistance=2.0, back_emf=0.5))
+    two, coast = JointCommand(CommandKind.VELOCITY, 2.0), drive_law.COAST
+    never = (lambda: None,) * 3
+
+    def torque_seen(found: Measured) -> float | None:
+        return motors.samples(found, driving=True, expected=never)[1].torque
+
+    assert torque_seen(measured()) is None
+    motors.command((coast, two, coast), measured((None, 1.0, None)))
+    assert drivers[2].commands == [MotorCommand(CommandKind.VOLTAGE, 5.0)]
+    assert torque_seen(measured()) == 2.0
+    assert torque_seen(measured(torques=(None, 0.25, None))) == 0.25, "what is measured goes before it"
+    assert motors.status(motors.measure(0, 0.1))[1].torque is None, "and nobody says that it was measured"
+    motors.command((coast, JointCommand(CommandKind.VELOCITY, 20.0), coast), measured((None, 10.0, None)))
+    assert motors.headroom(measured((None, 19.9, None))) == 0.0, "all its torque, and behind"
+    motors.command((coast, JointCommand(CommandKind.TORQUE, 1.0), coast), measured((None, 1.0, None)))
+    assert drivers[2].commands == [MotorCommand(CommandKind.VOLTAGE, 3.0)]
+    assert torque_seen(measured()) is None
+    motors.command((coast, two, coast), measured())
+    assert drivers[2].commands == [MotorCommand(CommandKind.VOLTAGE, 0.0)], "its speed is unknown"
+    motors.command((coast, coast, coast), measured((None, 1.0, None)))
+    assert (drivers[2].commands, torque_seen(measured())) == ([COAST], None)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.control.speed_loop import SpeedLoop
-from gateway.control.transmission import Transmission
+from gateway.control.transmission import Transmission, Winding
 from gateway.core.reporter import Due
 from gateway.edges.systemd import Notifier
 
@@ -44,6 +44,14 @@ def test_transmission_applies_ratio_sign_and_zero_once() -> None:
     assert gear.output(-100.0, -75.0) == (2.0, 1.0)
     assert gear.output(None, None) == (None, None)
     assert gear.output_torque(-1.5) == 75.0
+
+
+def test_a_winding_has_one_constant_for_torque_and_back_emf() -> None:
+    winding = Winding(resistance=2.0, back_emf=0.5)
+    assert winding.voltage(0.0, 0.0) == 0.0
+    assert winding.voltage(1.0, 0.0) == 4.0, "2 A through 2 ohm"
+    assert winding.voltage(0.0, 10.0) == 5.0, "no current"
+    assert winding.voltage(-1.0, 10.0) == 1.0
 
 
 def test_due_keeps_its_rate_and_does_not_burst() -> None:

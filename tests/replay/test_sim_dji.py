@@ -182,7 +182,7 @@ def test_wrong_setup_names_the_motor(motor_id: int, variant: str) -> None:
 
 def gm6020(mode: str, motor_id: int = 2, supply: float = 24.0) -> SimulatedDji:
     simulated = SimulatedDji(
-        SETUP._replace(id=motor_id, variant="gm6020", options={"mode": mode, "supply": supply}, max_torque=1.2)
+        SETUP._replace(id=motor_id, variant="gm6020", options={"mode": mode}, supply=supply, max_torque=1.2)
     )
     simulated.start(Shaft(0.0, 0.0), 0)
     return simulated

@@ -29,6 +29,7 @@ class MotorSetup(NamedTuple):
     watchdog_s: float | None  # the command timeout that the robot file wants
     absolute: bool = False  # the encoder knows the shaft's angle (all turns) also after a power cut
     options: Mapping[str, OptionValue] = MappingProxyType({})  # those of its driver
+    supply: float | None = None  # V, where the robot file tells it
 
 
 class Shaft(NamedTuple):

@@ -107,7 +107,7 @@ class SimulatedDji:
         amperes_per_raw = esc.full_scale_current / esc.full_scale_raw
         self._torque_per_raw = amperes_per_raw * esc.torque_constant
         self._max_torque = setup.max_torque
-        self._supply = float(setup.options.get("supply", _USUAL_SUPPLY))
+        self._supply = setup.supply or _USUAL_SUPPLY
         self._full_scale = _FULL_VOLTAGE_RAW if esc.takes_voltage else esc.full_scale_raw
         self._command_id = esc.command_ids[(setup.id - 1) // 4]
         self._slot = (setup.id - 1) % 4
