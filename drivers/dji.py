@@ -122,9 +122,8 @@ MODES: Final[dict[str, dict[str, Mode]]] = {
     },
 }
 GM6020_RPM_PER_V: Final = 13.33  # the manual, v1.4, as public drivers quote it
-SUPPLY: Final = (18.0, 28.0)  # V; six cells, empty and full, and a power supply of 24 V
+_SUPPLY: Final = number(18.0, 28.0, "V at the motor, of which a command is a share")  # six cells, or 24 V
 _MODE: Final = one_of(MODES["gm6020"], "as it is set in DJI's tool, which CAN does not tell")
-_SUPPLY: Final = number(*SUPPLY, "V at the motor, of which a command is a share")
 
 
 class _Motor:
