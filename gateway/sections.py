@@ -24,7 +24,7 @@ class Section(BaseModel):
 
 
 class Body(Section):
-    """Mass properties of the whole robot, used by the simulated world (and by no control law yet)."""
+    """Mass properties of the whole robot, used by the simulated world, and to find out which wheel slips."""
 
     mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
     inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]

@@ -23,6 +23,7 @@ from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
 from gateway.control.limits import TwistLimiter, excess, scale_to
+from gateway.control.slip_correction import SlipCorrection
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
 from gateway.core.arbiter import Arbiter, Selection
@@ -123,6 +124,7 @@ class Engine:
         self._settings = Settings(config.settings, robot.law)
         model = slip_model(config, robot)
         self._slip = None if model is None else SlipDetector(robot.names, model)
+        self._correction = SlipCorrection(() if model is None else model.wheels(robot), 1.0 / config.loop.rate)
         self._standstill = Standstill()
         self._reporter = Reporter(config)
         self._period = 1.0 / config.loop.rate
@@ -593,7 +595,14 @@ class Engine:
         may = [self._energised and ok for ok in self._may_be_commanded(health)]
         if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
             self._health.lose([index for index, ok in enumerate(may) if not ok])
-        told = [command if ok else COAST for command, ok in zip(motion.commands, may)]
+        commands = motion.commands
+        if self._slip is not None and (self._slip.now.ahead or self._correction.active):
+            ahead = self._slip.now.ahead if measured.slipping else ()
+            wheels = self._slip.now.wheels if measured.slipping else ()
+            braking = self._mode in BRAKING
+            correct = self._correction.corrected
+            commands = correct(commands, ahead, wheels, measured.speeds, braking=braking, dt=measured.dt)
+        told = [command if ok else COAST for command, ok in zip(commands, may)]
         return self._motors.command(told, measured)
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:

@@ -200,7 +200,11 @@ class Reporter:
             return []  # that it is no longer known which one is no news
         if slip is None:
             return _counted(Level.INFO, "slip_over", "all wheels grip", self._throttle.admit("slip_over", now_ns))
-        text = f"{', '.join(slip)} slips" if slip else "the wheels do not fit a rigid motion: one of them slips"
+        text = (
+            f"{', '.join(slip)} slip{'s' * (len(slip) == 1)}"
+            if slip
+            else "the wheels do not fit a rigid motion: one of them slips"
+        )
         return _counted(Level.WARNING, "slip", text, self._throttle.admit(("slip", slip), now_ns))
 
     def _sensor_changes(self, silent: tuple[str, ...], jumped: Sequence[str], now_ns: int) -> list[Event]:

@@ -58,7 +58,7 @@ class SlipDetector:
     def __init__(self, names: Sequence[str], model: SlipModel) -> None:
         self._names = tuple(names)
         self._model = model
-        self._floor = _floor(model)
+        self._floor, self._slope = _least_bound(model)
         self._spin = _SpinWatch(model)
         self._isolation = Isolation(model)
         self._last: tuple[Numbers, Estimate | None] = ((), None)
@@ -78,7 +78,7 @@ class SlipDetector:
         spinning = self._spin.look(speeds, measured)
         if estimate is None or estimate.residual is None or estimate.residuals is None:
             return self._forget()
-        if estimate.residual <= self._floor and not (self._suspect or spinning or None in speeds):
+        if not (self._suspect or spinning) and self._is_noise(estimate.residual, speeds):
             return NO_SLIP
         check = self._model.redundancy.of(tuple([speed is not None for speed in speeds]))
         if check is None:
@@ -96,6 +96,11 @@ class SlipDetector:
         self.now = self._told(sight, self._isolate(sight, spinning), spinning)
         return self.now
 
+    @property
+    def suspects(self) -> bool:
+        """Whether something is seen that noise does not explain, however short."""
+        return self._suspect
+
     def named(self) -> tuple[str, ...]:
         """Names of the wheels that slip, none where that is not known."""
         return tuple([self._names[place] for place in self.now.wheels])
@@ -112,6 +117,17 @@ class SlipDetector:
         )
 
     # the residual against its threshold
+
+    def _is_noise(self, residual: float, speeds: Numbers) -> bool:
+        """Whether all of it is within the threshold of each wheel, whatever the ages: almost always, so asked first."""
+        if residual <= self._floor:
+            return None not in speeds
+        total = 0.0
+        for speed in speeds:
+            if speed is None:
+                return False
+            total += speed if speed > 0.0 else -speed
+        return residual <= self._floor + self._slope * total
 
     def _beyond(
         self, check: Check, residuals: Sequence[float], speeds: Numbers, ages_ns: Sequence[int | None]
@@ -329,15 +345,16 @@ def _skew(ages_ns: Sequence[int | None]) -> float:
     return 1e-9 * (max(known) - min(known)) if known else 0.0
 
 
-def _floor(model: SlipModel) -> float:
-    """M/s of the whole residual of all wheels that is within the threshold of each, however fast they turn."""
+def _least_bound(model: SlipModel) -> tuple[float, float]:
+    """The least of the thresholds of all wheels: m/s at rest, and m by which it grows with the sum of their speeds."""
     check = model.redundancy.of((True,) * len(model.radii))
     if check is None:
-        return 0.0
-    bounds = []
+        return 0.0, 0.0
+    floors, slopes = [], []
     for sizes in check.sizes:
-        bound = 0.0
+        floor = 0.0
         for size, place in zip(sizes, check.places):
-            bound += size * model.steps[place]
-        bounds.append(bound)
-    return min(bounds)
+            floor += size * model.steps[place]
+        floors.append(floor)
+        slopes.append(min([size * model.radii[place] for size, place in zip(sizes, check.places)]))
+    return min(floors), SPEED_TOLERANCE * min(slopes)

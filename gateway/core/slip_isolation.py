@@ -120,13 +120,15 @@ class Isolation:
         vx, vy, wz, *_ = sight.rates
         turning_x, turning_y, _ = self._turning
         self._turning = (turning_x + sight.dt * wz * vy, turning_y - sight.dt * wz * vx, 0.0)
-        sizes = [abs(part) for part in given]
         misfits = [0.0] * len(slips)
         for axis, (row, still, floor) in enumerate(zip(self._model.pushed, self._model.resting, _FLOOR)):
-            doubt = TORQUE_DOUBT * dot([abs(part) for part in row], sizes) + self.time * (still + floor)
-            ahead = sight.rates[axis] - self._rates[axis] - self._turning[axis] - dot(row, given)
-            for share in sight.check.shares:
-                doubt += 2.0 * sight.noise * abs(share[axis])
+            pushed = size = 0.0
+            for part, impulse in zip(row, given):
+                push = part * impulse
+                pushed += push
+                size += push if push > 0.0 else -push
+            doubt = TORQUE_DOUBT * size + self.time * (still + floor) + 2.0 * sight.noise * sight.check.together[axis]
+            ahead = sight.rates[axis] - self._rates[axis] - self._turning[axis] - pushed
             for place, (slip, share) in enumerate(zip(slips, sight.check.shares)):
                 misfits[place] = max(misfits[place], abs(ahead - slip * share[axis]) / doubt)
         return misfits

@@ -13,12 +13,14 @@ from typing import Final, NamedTuple
 
 from gateway.arithmetic import dot
 from gateway.config import RobotConfig
+from gateway.control.slip_correction import Wheel
 from gateway.core.assembly import Robot
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix, Vector, product, pseudo_inverse, transpose
 from gateway.kinematics.redundancy import Redundancy
 
 SPEED_TOLERANCE: Final = 0.01  # of a speed: radius and axle of a worn wheel; half of what odometry takes a metre to err
+LEAST_STEP: Final = 1e-5  # m/s: nobody measures a rim more finely
 UNKNOWN_STEP: Final = 0.005  # of a motor's top speed, where its controller does not say how finely it measures
 
 
@@ -42,6 +44,13 @@ class SlipModel(NamedTuple):
     drag: float
     friction: float
 
+    def wheels(self, robot: Robot) -> list[Wheel]:
+        """What is corrected while it slips."""
+        return [
+            Wheel(radius, limits.speed, limits.torque if able.limit else None, self.inertia)
+            for radius, limits, able in zip(self.radii, robot.limits, robot.capabilities, strict=True)
+        ]
+
 
 def slip_model(config: RobotConfig, robot: Robot) -> SlipModel | None:
     """Of this robot; None where joint angles change the geometry, so that no wheel can be held against the others."""
@@ -61,7 +70,7 @@ def slip_model(config: RobotConfig, robot: Robot) -> SlipModel | None:
     return SlipModel(
         redundancy=Redundancy(kinematics.rim_matrix),
         radii=radii,
-        steps=tuple([radius * step for radius, step in zip(radii, _steps(config, robot), strict=True)]),
+        steps=tuple([max(LEAST_STEP, r * step) for r, step in zip(radii, _steps(config, robot), strict=True)]),
         gripping=tuple([radius * _most(row, torques) for radius, row in zip(radii, spun, strict=True)]),
         usual=tuple([_most(row, acceleration) for row in rows]),
         spun=spun,

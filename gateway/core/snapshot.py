@@ -65,7 +65,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.detectors.FollowingDetector": frozenset({"_limits"}),
     "gateway.core.detectors.ReversedDetector": frozenset(),
     "gateway.core.detectors._AgainstTorque": frozenset({"_limits"}),
-    "gateway.core.slip.SlipDetector": frozenset({"_floor", "_model", "_names"}),
+    "gateway.core.slip.SlipDetector": frozenset({"_floor", "_model", "_names", "_slope"}),
     "gateway.core.slip._SpinWatch": frozenset({"_model", "_nothing"}),
     "gateway.core.slip_isolation.Isolation": frozenset({"_model"}),
     "gateway.control.limits.TwistLimiter": frozenset(
@@ -77,6 +77,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.region_policy.RegionPolicy": frozenset({"_axle_offset", "_form", "_limits", "_max_footprint"}),
     "gateway.control.compensation.Compensation": frozenset({"_authority", "_axle_offset"}),
     "gateway.control.compensation.PathRate": frozenset(),
+    "gateway.control.slip_correction.SlipCorrection": frozenset({"_bounds", "_wheels"}),
     "gateway.control.drive_law.SpeedLaw": frozenset(
         {"_brakes", "_features", "_kinematics", "_period", "_top_speeds", "_velocity"}
     ),

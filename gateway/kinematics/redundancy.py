@@ -26,7 +26,8 @@ class Check(NamedTuple):
 
     `sizes`: how much of an error of each wheel is in the residual of this one. `own`: P_kk. `shares`: m/s, m/s and
     rad/s of the body by which a slip of 1 m/s puts the motion wrong that fits best. `told`: whether its slip can be
-    told from that of every other wheel by the residuals alone.
+    told from that of every other wheel by the residuals alone. `together`: by which 1 m/s of all
+    wheels puts it wrong at most.
     """
 
     places: tuple[int, ...]
@@ -34,6 +35,7 @@ class Check(NamedTuple):
     own: tuple[float, ...]
     shares: tuple[tuple[float, float, float], ...]
     told: tuple[bool, ...]
+    together: tuple[float, float, float]
 
 
 class Redundancy:
@@ -58,12 +60,14 @@ class Redundancy:
         size = len(rows)
         projector = [[_entry(basis, i, j) for j in range(size)] for i in range(size)]
         inverse = pseudo_inverse(rows)
+        x, y, turn = [dot([abs(part) for part in row], [1.0] * size) for row in inverse[:3]]
         return Check(
             places=places,
             sizes=tuple([tuple([abs(part) for part in row]) for row in projector]),
             own=tuple([projector[i][i] for i in range(size)]),
             shares=tuple([(inverse[0][i], inverse[1][i], inverse[2][i]) for i in range(size)]),
             told=tuple([_stands_alone(projector, i) for i in range(size)]),
+            together=(x, y, turn),
         )
 
 

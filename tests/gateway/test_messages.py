@@ -28,6 +28,7 @@ from gateway.types import (
     RefusalCode,
     Region,
     Reply,
+    SlipStatus,
     SourceStatus,
     Status,
     Twist,
@@ -79,6 +80,7 @@ STATUS = Status(
         EffectiveMotors((2.0, 1.5), (1.0, 0.0)),
     ),
     chassis={"region": "pull", "turn_radius": None},
+    slip=SlipStatus(slipping=True, wheels=("left",), evidence=("torque",), threshold=0.01, tells="that a wheel slips"),
 )
 
 

@@ -255,3 +255,32 @@ def test_a_gyro_leaves_the_place_as_doubtful_as_the_wheels_are() -> None:
         drive_with_gyro(odometry, Twist(1, 0, 0), headings, residual=0.1)
         assert odometry.read(None, None).covariance[0] == pytest.approx(4e-4 + 0.01, rel=0.01)
     assert heading_deviation(odometry) < 0.0011
+
+
+def slid(theta: float, *, heading: bool) -> np.ndarray:
+    """Covariance of a robot that stands at this heading and slips for a second, in excess of that of the start."""
+    odometry = omni()
+    take(odometry, [0.0] * 4, 0)
+    odometry.pose = Pose(0.0, 0.0, theta)
+    x, y, t = 0.1, -0.2, 0.5  # m/s, m/s, rad/s that it may err by, together
+    spread = (x * x, x * y, x * t, y * y, y * t, t * t)
+    for step in range(1, 251):
+        odometry.deltas([0.0] * 4, [0] * 4, step * STEP_NS)
+        angle = 0.0 if heading else None
+        odometry.update([0.0] * 4, [0.0] * 4, residual=9.0, dt=0.004, heading=angle, spread=spread)
+    return np.array(odometry.read(None, None).covariance).reshape(3, 3) - 1e-6 * np.eye(3)
+
+
+@given(st.floats(-3.0, 3.0))
+def test_slip_makes_the_pose_uncertain_along_the_twist_by_which_it_puts_it_wrong(theta: float) -> None:
+    """0.1, -0.2 m/s and 0.5 rad/s for a second, in the frame of the world; along no other direction at all."""
+    c, s = cos(theta), sin(theta)
+    along = np.array([0.1 * c + 0.2 * s, 0.1 * s - 0.2 * c, 0.5])
+    assert slid(theta, heading=False) == pytest.approx(np.outer(along, along), abs=1e-12)
+
+
+def test_a_gyro_keeps_the_heading_out_of_it() -> None:
+    found = slid(0.0, heading=True)
+    assert found[:2, :2] == pytest.approx(np.array([[0.01, -0.02], [-0.02, 0.04]]), abs=1e-12)
+    assert found[2, :2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert found[2, 2] <= 2e-3 + 0.25 * 0.004, "the gyro's own second; its first sample said nothing of the turn"

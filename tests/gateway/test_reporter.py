@@ -53,3 +53,29 @@ def test_a_crowd_that_asks_for_a_reset_is_told_once() -> None:
         ("reset_refused", "the robot still moves")
     ]
     assert _told(reporter, replies=refused, now_ns=1) == []
+
+
+def _slips(reporter: Reporter, slip: tuple[str, ...] | None, now_ns: int) -> list[tuple[str, str]]:
+    inputs = Inputs(0, now_ns)
+    told = reporter.events(inputs, mode=Mode.IDLE, reason=None, faults=(), replies=(), slip=slip)
+    return [(event.code, event.text) for event in told]
+
+
+def test_slip_is_told_with_its_name_once_that_is_known_and_when_it_is_over() -> None:
+    reporter = _reporter()
+    unknown = "the wheels do not fit a rigid motion: one of them slips"
+    assert _slips(reporter, None, 0) == []
+    assert _slips(reporter, (), 0) == [("slip", unknown)]
+    assert _slips(reporter, (), 1) == []
+    assert _slips(reporter, ("left",), 2) == [("slip", "left slips")]
+    assert _slips(reporter, (), 3) == [], "a name that is lost again is no news"
+    assert _slips(reporter, ("left", "right"), 4) == [("slip", "left, right slip")]
+    assert _slips(reporter, None, 5) == [("slip_over", "all wheels grip")]
+
+
+def test_a_wheel_that_slips_again_and_again_is_told_once_a_second() -> None:
+    reporter = _reporter()
+    codes: list[str] = []
+    for cycle in range(501):
+        codes += [code for code, _ in _slips(reporter, ("left",) if cycle % 10 < 5 else None, cycle * 4_000_000)]
+    assert (codes.count("slip"), codes.count("slip_over")) == (3, 2)

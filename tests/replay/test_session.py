@@ -44,6 +44,7 @@ from gateway.types import (
     SensorSample,
     SensorStatus,
     SettingStatus,
+    SlipStatus,
     SourceStatus,
     Status,
     Trace,
@@ -100,6 +101,7 @@ STATUS = Status(
     chassis={"region": "pull", "turn_radius": None},
     sensors=(SensorStatus("imu", "heading", (1.5,), 0.01, 0),),
     settings=(SettingStatus("speed_override", 0.5, "of limits.velocity", 0.05, 1.0),),
+    slip=SlipStatus(slipping=True, wheels=("left",), evidence=("torque",), threshold=0.01, tells="that a wheel slips"),
 )
 
 integers = st.integers(-(2**63), 2**63 - 1)
