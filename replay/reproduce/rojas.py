@@ -259,7 +259,7 @@ def dead_motors(stage: Stage) -> Found:
                 max(abs(degrees(s.heading)) for s in drive.samples),
                 None,
                 "",
-                at_most(10.0),
+                at_most(2.0),
             ),
         ]
     speed = Panel(
