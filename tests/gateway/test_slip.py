@@ -5,7 +5,6 @@ from functools import cache
 from math import cos, degrees, hypot, inf, pi, sin, sqrt
 from typing import NamedTuple
 
-import numpy as np
 import pytest
 
 from gateway.config import parse
@@ -14,7 +13,7 @@ from gateway.core.assembly import build
 from gateway.core.health import Fault, FaultKind
 from gateway.core.odometry import Spread
 from gateway.core.sensors import Heading
-from gateway.core.slip import NO_SLIP, Slip, SlipDetector
+from gateway.core.slip import NO_SLIP, Slip, SlipDetector, _only
 from gateway.core.slip_model import SlipModel, slip_model
 from gateway.kinematics.contract import Estimate
 from gateway.types import Mode, Outputs, SensorSample, Twist
@@ -333,21 +332,22 @@ def test_of_five_and_six_wheels_the_residual_alone_names_it(count: int) -> None:
         assert (second.wheels, second.evidence) == ((place,), ("residual",))
 
 
-def test_a_wheel_is_named_only_where_every_other_clearly_does_not_fit() -> None:
-    """Growing slip of one of five: what the nearest other one leaves unexplained is beyond twice the noise first."""
-    rows = np.array(rows_of_ring(5))
-    projector = np.eye(5) - rows @ np.linalg.pinv(rows)
-    left = [projector[0, 0] - projector[0, k] ** 2 / projector[k, k] for k in range(1, 5)]
-    bound = 0.0004155 * sqrt(5.0)  # five speeds that are known to a step; all of the same age
-    wheels = Wheels(5)
-    wheels.see(AHEAD)
-    for step in range(400):
-        slip = 0.02 + 0.0005 * step
-        if wheels.see(AHEAD, (slip, 0.0, 0.0, 0.0, 0.0)).wheels:
-            break
-    named_at = slip - 0.0005  # it was found in the cycle before, and again
-    assert named_at * sqrt(min(left)) > 2.0 * bound
-    assert wheels.slip.wheels == (0,)
+@pytest.mark.parametrize(
+    ("misfits", "found"),
+    [
+        ((0.9, 2.1, 3.0, 9.0), 0),
+        ((0.9, 1.9, 3.0, 9.0), None),  # the second does not fit, but not clearly
+        ((1.1, 2.1, 3.0, 9.0), None),  # the best does not fit either
+        ((2.1, 2.1, 3.0, 0.0), 3),
+        ((2.1, 2.1, 3.0, 4.0), None),
+    ],
+)
+def test_a_wheel_is_named_only_where_every_other_clearly_does_not_fit(
+    misfits: tuple[float, ...], found: int | None
+) -> None:
+    check = model().redundancy.of((True,) * 4)
+    assert check is not None
+    assert _only(check, misfits) == found
 
 
 @pytest.mark.parametrize("second", [1, 3])
