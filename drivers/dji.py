@@ -121,7 +121,8 @@ MODES: Final[dict[str, dict[str, Mode]]] = {
     },
 }
 GM6020_RPM_PER_V: Final = 13.33  # the manual, v1.4, as public drivers quote it
-SUPPLY: Final = (18.0, 28.0)  # V; six cells, empty and full, and a power supply of 24 V; source: ours
+LEAST_SUPPLY: Final = 18.0  # V; six cells, empty
+MOST_SUPPLY: Final = 28.0  # V; six cells, full, and a power supply of 24 V; both: ours
 _MODE: Final = one_of(MODES["gm6020"], "as it is set in DJI's tool, which CAN does not tell")
 
 
@@ -411,7 +412,7 @@ def _feedback_id(motor: MotorSpec) -> int:
 def _scale(motor: MotorSpec, mode: Mode) -> tuple[int, float]:
     """The largest raw value within all limits, and raw per N m or V. What a voltage does is for who commands it."""
     if mode.raw_per_ampere is None:
-        return mode.raw_limit, mode.raw_limit / (motor.supply or SUPPLY[1])  # checked before: it is never left out
+        return mode.raw_limit, mode.raw_limit / (motor.supply or MOST_SUPPLY)  # checked before: it is never left out
     ampere = min(motor.max_current, motor.max_torque / mode.torque_constant)
     return min(mode.raw_limit, int(ampere * mode.raw_per_ampere)), mode.raw_per_ampere / mode.torque_constant
 
@@ -478,7 +479,7 @@ def _voltage_bounds(motor: MotorSpec) -> list[Bound]:
         raise ValueError(f"motor {motor.name}: winding is missing: {share}, which is winding.voltage")
     why = f"a {motor.variant} turns {GM6020_RPM_PER_V} rpm per volt without a load, and winding.voltage = {volts:g}"
     return [
-        Bound("winding.voltage", volts, *SUPPLY, "V", share),
+        Bound("winding.voltage", volts, LEAST_SUPPLY, MOST_SUPPLY, "V", share),
         Bound("max_speed", motor.max_speed, 0.0, volts * GM6020_RPM_PER_V * RAD_S_PER_RPM, "rad/s", why),
     ]
 

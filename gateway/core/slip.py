@@ -176,10 +176,11 @@ class SlipDetector:
     # which wheel
 
     def _isolate(self, sight: Sight, spinning: dict[int, float]) -> list[float]:
-        """Misfit of each measured wheel; keeps the name of the one that slips."""
+        """Misfit of each measured wheel; keeps the name of the one that slips, and drops it where it fits no more."""
         check, isolation = sight.check, self._isolation
         misfits = isolation.look(sight)
         found, evidence = _only(check, misfits), isolation.evidence
+        young = isolation.time < AFRESH
         if found is None and len(spinning) == 1:
             (spins,) = spinning
             found, evidence = spins if _misfit(check, misfits, spins) <= 1.0 else None, ("spin",)
@@ -188,9 +189,9 @@ class SlipDetector:
             self._candidate = found
         if found is not None and self._agreed >= AGREED:
             self._named, self._evidence = found, evidence
-        elif self._named is not None and _misfit(check, misfits, self._named) > CLEAR:
-            self._named, self._evidence = None, ()
-        if self._named in check.places and isolation.time >= AFRESH:
+        elif self._named is not None and _misfit(check, misfits, self._named) > (CLEAR if young else 1.0):
+            self._named, self._evidence = None, ()  # nothing begins anew from the motion without a wheel in doubt
+        if self._named in check.places and not young:
             place = check.places.index(self._named)
             slip, (x, y, z) = sight.slips[place], check.shares[place]
             vx, vy, wz, *more = sight.rates

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import dot
 from gateway.core.sensors import Heading
 from gateway.core.slip_model import SlipModel
-from gateway.kinematics.redundancy import Check
+from gateway.kinematics.redundancy import BLIND, Check
 from gateway.types import Rates
 
 CLEAR: Final = 2.0
@@ -32,7 +32,6 @@ TORQUE_DOUBT: Final = 0.1  # of a joint's torque: torque constant, gear; and of 
 GYRO_NOISE: Final = 0.003  # rad
 GYRO_DELAY: Final = 0.02  # s by which it may be older than the wheels: counts where the turning changes
 GYRO_SCALE: Final = 0.01  # of a turn
-VISIBLE: Final = 1e-9  # of P_kk: below it a wheel's slip leaves no residual
 NEVER: Final = 1e9  # the misfit of a wheel that cannot be it
 
 # Of a twist: m/s^2, m/s^2, rad/s^2; a floor does not turn a body whose weight is in the middle.
@@ -59,7 +58,7 @@ class Sight(NamedTuple):
     @property
     def slips(self) -> list[float]:
         """M/s by which each measured wheel runs ahead if it is the only one that slips."""
-        return [r / own if own > VISIBLE else 0.0 for r, own in zip(self.residuals, self.check.own)]
+        return [r / own if own > BLIND else 0.0 for r, own in zip(self.residuals, self.check.own)]
 
 
 class Isolation:
@@ -88,7 +87,7 @@ class Isolation:
         """Misfit of each measured wheel."""
         self.time += sight.dt
         slips = sight.slips
-        misfits = [0.0 if own > VISIBLE else NEVER for own in sight.check.own]
+        misfits = [0.0 if own > BLIND else NEVER for own in sight.check.own]
         evidence: list[str] = []
         for name, found in (
             ("residual", self._by_residual(sight)),
@@ -108,7 +107,7 @@ class Isolation:
             return None
         square, bound = dot(residuals, residuals), sight.noise * sqrt(float(len(residuals)))
         return [
-            sqrt(max(0.0, square - (r * r / own if own > VISIBLE else 0.0))) / bound
+            sqrt(max(0.0, square - (r * r / own if own > BLIND else 0.0))) / bound
             for r, own in zip(residuals, check.own)
         ]
 

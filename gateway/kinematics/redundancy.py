@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import dot
 from gateway.kinematics.linear import Matrix, kernel, pseudo_inverse, transpose
 
-_BLIND: Final = 1e-9  # of P_kk: below it the wheel's slip leaves no residual at all
+BLIND: Final = 1e-9  # of P_kk: below it the wheel's slip leaves no residual at all
 # Of the sine between two directions P e_k: below it a residual of one wheel passes for one of the other within the
 # noise of any real wheel.
 _ALIKE: Final = 0.1
@@ -78,10 +78,10 @@ def _entry(basis: Matrix, i: int, j: int) -> float:
 def _stands_alone(projector: Sequence[Sequence[float]], place: int) -> bool:
     """Whether the direction P e_k of this wheel is that of no other; |P e_k|^2 = P_kk and P e_k . P e_l = P_kl."""
     own = projector[place][place]
-    if own <= _BLIND:
+    if own <= BLIND:
         return False
     for other, row in enumerate(projector):
-        if other != place and row[other] > _BLIND:
+        if other != place and row[other] > BLIND:
             cosine = row[place] / sqrt(own * row[other])
             if 1.0 - cosine * cosine < _ALIKE * _ALIKE:
                 return False

@@ -11,10 +11,12 @@ import numpy as np
 
 from gateway.types import Pose
 from replay.reproduce.kane_model import LEVER, POUND, RADIUS, Array, KaneRobot, free, over_the_floor
-from replay.reproduce.kane_robot import INCH, UNITS_NOTE, driven, kane_robot_file, settled
+from replay.reproduce.kane_robot import UNITS_NOTE, driven, kane_file, seen_from_above, settled
+from replay.reproduce.omni_robot import robot_file
 from replay.reproduce.picture import Line, Panel, Picture
 from replay.reproduce.result import Found, Row, Stage, at_most, within
 from replay.reproduce.service import Order, Sample
+from replay.sim.plants.omni_parameters import INCH
 
 NOT_PRINTED = "not printed"
 _STEP = 1e-3  # s
@@ -43,15 +45,8 @@ def figure_7(stage: Stage) -> Found:
         Row("spin, service", "rad/s", _spin(way), 5.0, "", within(5.0, 0.02)),
         Row("fastest wheel", "rad/s", float(np.max(np.abs(wheels))), None, NOT_PRINTED),
     )
-    map_ = Panel(
-        "From above",
-        "q1 [in]",
-        "q2 [in]",
-        lines=(
-            Line("wheels integrated", [p[0] for p in places], [p[1] for p in places], dashed=True),
-            Line("through the service", [s.x / INCH for s in drive.samples], [s.y / INCH for s in drive.samples], 1),
-        ),
-        to_scale=True,
+    map_ = seen_from_above(
+        drive.samples, Line("wheels integrated", [p[0] for p in places], [p[1] for p in places], dashed=True)
     )
     times = [_STEP * number for number in range(len(wheels))]
     speeds = Panel(
@@ -87,7 +82,7 @@ def figure_8(stage: Stage) -> Found:
     way = settled(drive.samples)
     xs, ys = [s.x / INCH for s in way], [s.y / INCH for s in way]
     told = 0.25 * (max(xs) - min(xs) + max(ys) - min(ys))
-    config, _ = kane_robot_file()
+    config, _ = robot_file(kane_file())
     estimate = config.robot.kinematics().twist([float(speed) for speed in given], [None] * 4)
     rows = (
         Row(
@@ -107,19 +102,12 @@ def figure_8(stage: Stage) -> Found:
             within(8.0, 1e-9),
         ),
         Row("radius of the circle", "in", radius, None, NOT_PRINTED),
-        Row("radius of the circle, service", "in", told, None, "", within(radius, 0.02 * radius)),
+        Row("radius of the circle, service", "in", told, None, "", within(float(radius), 0.02 * float(radius))),
         Row("spin", "rad/s", float(twist[2]), None, NOT_PRINTED),
     )
     circle = _integrated([twist] * round(2.0 * pi / abs(twist[2]) / _STEP))
-    map_ = Panel(
-        "From above",
-        "q1 [in]",
-        "q2 [in]",
-        lines=(
-            Line("least squares", [p[0] for p in circle], [p[1] for p in circle], dashed=True),
-            Line("through the service", [s.x / INCH for s in drive.samples], [s.y / INCH for s in drive.samples], 1),
-        ),
-        to_scale=True,
+    map_ = seen_from_above(
+        drive.samples, Line("least squares", [p[0] for p in circle], [p[1] for p in circle], dashed=True)
     )
     wheels = Panel(
         "Wheels: given, and what of them a motion explains",

@@ -13,20 +13,15 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from replay.sim.plants.omni_parameters import INCH, SLUG, kane_robot
+
 Array = npt.NDArray[np.float64]
 
 RADIUS: Final = 3.0  # in; Table 3
-ROLLER_RADIUS: Final = 0.4  # in; Table 3
 LEVER: Final = 8.0  # in; "length and width of the base", taken as centre to wheel (science E-004-9)
 POUND: Final = 12.0  # slug in/s^2
+_SQUARE_INCH: Final = SLUG * INCH * INCH  # kg m^2 in a slug in^2
 PRINTED_GAINS: Final = (1778.55, 1775.73, 1250.01, 1250.01)  # Kprop; the first two have a wrong digit (E-004-3)
-
-# Tables 1 and 2, as printed but for which axis is the axle (E-004-5) and the rollers of wheels 3 and 4 (E-004-4).
-_BASE_MASS, _WHEEL_MASS, _TORUS_MASS, _ROLLER_MASS = 0.0951426, 0.025257, 0.013697, 0.00100613  # slug
-_BASE_INERTIA = 1.39817  # slug in^2, about a3
-_AXIAL = (0.121937 + 0.0946465, 0.121937 + 0.0946465, 0.117613 + 0.0946465, 0.117613 + 0.0946465)
-_UPRIGHT = (0.0628245 + 0.0781416 + 0.000221784, 0.0606622 + 0.0781416 + 0.000221784)  # wheels 1 and 2, 3 and 4
-_ROLLER_AXIAL = 0.000110892
 
 
 class Gains(NamedTuple):
@@ -118,15 +113,17 @@ class KaneRobot:
     """Its matrices. `lever`: in, from the centre to a wheel."""
 
     def __init__(self, lever: float = LEVER) -> None:
-        mass = _BASE_MASS + 4.0 * (_WHEEL_MASS + _TORUS_MASS + _ROLLER_MASS)
-        about = _BASE_INERTIA + 2.0 * (_UPRIGHT[0] + _UPRIGHT[1]) + (mass - _BASE_MASS) * lever * lever
-        self.mass = mass
+        robot = kane_robot(lever * INCH)
+        self.mass = robot.mass / SLUG
         self.wheels: Array = (
             np.array([[1.0, 0.0, -lever], [1.0, 0.0, lever], [0.0, 1.0, -lever], [0.0, 1.0, lever]]) / RADIUS
         )
-        rollers = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]) / ROLLER_RADIUS
-        wheels = self.wheels.T @ np.diag(_AXIAL) @ self.wheels
-        self.inertia: Array = np.asarray(np.diag([mass, mass, about]) + wheels + _ROLLER_AXIAL * rollers.T @ rollers)
+        rolled = np.array([[0.0, -1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        rollers = rolled / (robot.wheels[0].roller_radius / INCH)
+        inertia = np.array([robot.inertia, *(wheel.spin_inertia for wheel in robot.wheels)]) / _SQUARE_INCH
+        spins = self.wheels.T @ np.diag(inertia[1:]) @ self.wheels
+        spins = spins + robot.wheels[0].roller_inertia / _SQUARE_INCH * rollers.T @ rollers
+        self.inertia: Array = np.asarray(np.diag([self.mass, self.mass, inertia[0]]) + spins)
         self._inverse: Array = np.linalg.inv(self.inertia).astype(np.float64)
 
     def acceleration(self, velocity: Array, torques: Array, force: Array | None = None) -> Array:

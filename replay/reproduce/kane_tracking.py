@@ -21,10 +21,11 @@ from replay.reproduce.kane_model import (
     step_response,
     track,
 )
-from replay.reproduce.kane_robot import INCH, NEWTON, UNITS_NOTE, driven
+from replay.reproduce.kane_robot import NEWTON, UNITS_NOTE, driven, seen_from_above
 from replay.reproduce.picture import Level, Line, Panel, Picture
 from replay.reproduce.result import Found, Row, Stage, at_most, within
 from replay.reproduce.service import Driven, Order
+from replay.sim.plants.omni_parameters import INCH
 
 NOT_PRINTED = "not printed"
 SERVICE_NOTE = (
@@ -205,22 +206,11 @@ def _wheel_error(moments: Sequence[Moment]) -> float:
 def _map(reference: Reference, seconds: float, moments: Sequence[Moment], drive: Driven) -> Panel:
     times = [0.02 * number for number in range(round(50.0 * seconds) + 1)]
     places = [reference(t).place for t in times]
-    start = places[0]
-    return Panel(
-        "From above",
-        "q1 [in]",
-        "q2 [in]",
-        lines=(
-            Line("wheel control", [m.x for m in moments], [m.y for m in moments]),
-            Line(
-                "through the service",
-                [s.x / INCH + start[0] for s in drive.samples],
-                [s.y / INCH + start[1] for s in drive.samples],
-                1,
-            ),
-            Line("path", [p[0] for p in places], [p[1] for p in places], 7, dashed=True),
-        ),
-        to_scale=True,
+    return seen_from_above(
+        drive.samples,
+        Line("wheel control", [m.x for m in moments], [m.y for m in moments]),
+        Line("path", [p[0] for p in places], [p[1] for p in places], 7, dashed=True),
+        start=places[0],
     )
 
 

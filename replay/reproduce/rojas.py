@@ -9,6 +9,7 @@ from math import cos, degrees, hypot, inf, pi, radians, sin, sqrt
 
 from gateway.kinematics.forces import PushTable, force_coupling, least_forces
 from replay.drive.closed_loop import ClosedLoop
+from replay.reproduce.omni_robot import robot_file
 from replay.reproduce.picture import Level, Line, Mark, Panel, Picture
 from replay.reproduce.result import Found, Row, Stage, at_most, within
 from replay.reproduce.rojas_robot import (
@@ -22,7 +23,7 @@ from replay.reproduce.rojas_robot import (
     Layout,
     driven,
     rim_speeds,
-    rojas_robot_file,
+    rojas_file,
     wheel_directions,
 )
 from replay.reproduce.service import Driven, Order, Sample
@@ -212,7 +213,7 @@ def slip_table(stage: Stage) -> Found:
 
 def dead_motors(stage: Stage) -> Found:
     """Section 11: each of the four motors without power, and what the others do for it."""
-    config, _ = rojas_robot_file(SYMMETRIC, acceleration=2.0)
+    config, _ = robot_file(rojas_file(SYMMETRIC))
     kinematics = config.robot.kinematics()
     mass = ((MASS, 0.0, 0.0), (0.0, MASS, 0.0), (0.0, 0.0, config.robot.body.inertia))
     rims = tuple(tuple(part * WHEEL_RADIUS for part in row) for row in kinematics.matrix([0.0] * len(MOTORS)))
@@ -258,7 +259,7 @@ def dead_motors(stage: Stage) -> Found:
                 max(abs(degrees(s.heading)) for s in drive.samples),
                 None,
                 "",
-                at_most(10.0),
+                at_most(2.0),
             ),
         ]
     speed = Panel(
@@ -355,7 +356,7 @@ def _driven_share(sample: Sample) -> float:
 
 def _slip(layout: Layout, speeds: Sequence[float]) -> float:
     """v1 - v2 + v3 - v4 of rim speeds, m/s, from the residuals of the service's kinematics (a quarter of it each)."""
-    config, _ = rojas_robot_file(layout, acceleration=2.0)
+    config, _ = robot_file(rojas_file(layout))
     estimate = config.robot.kinematics().twist([speed / WHEEL_RADIUS for speed in speeds], [None] * len(speeds))
     assert estimate is not None  # four wheels are three at least
     assert estimate.residuals is not None

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from math import cos, degrees, hypot, inf, pi, sin
+from math import cos, degrees, hypot, inf, pi, sin, sqrt
 from typing import NamedTuple
 
 import pytest
@@ -13,7 +13,7 @@ from gateway.core.assembly import build
 from gateway.core.health import Fault, FaultKind
 from gateway.core.odometry import Spread
 from gateway.core.sensors import Heading
-from gateway.core.slip import NO_SLIP, Slip, SlipDetector
+from gateway.core.slip import NO_SLIP, Slip, SlipDetector, _only
 from gateway.core.slip_model import SlipModel, slip_model
 from gateway.kinematics.contract import Estimate
 from gateway.types import Mode, Outputs, SensorSample, Twist
@@ -62,6 +62,7 @@ class Oil(NamedTuple):
     named: set[tuple[str, ...]]
     metres: float
     turn: float  # degrees
+    doubt: float  # degrees, one sigma of the heading by the covariance that is told
     way: float  # m really driven
     codes: list[str]
 
@@ -100,7 +101,9 @@ def over_oil(
     true, seen = robot.truth.pose, world.last.trace.pose
     error = hypot(seen.x - first.x - (true.x - begin.x), seen.y - first.y - (true.y - begin.y))
     turn = degrees(abs(seen.theta - first.theta - (true.theta - begin.theta)))
-    return Oil(told_after, named, error, turn, hypot(true.x - begin.x, true.y - begin.y), world.codes())
+    odometry = next(outputs.odometry for _, outputs in reversed(world.records) if outputs.odometry is not None)
+    doubt = degrees(sqrt(odometry.covariance[8]))
+    return Oil(told_after, named, error, turn, doubt, hypot(true.x - begin.x, true.y - begin.y), world.codes())
 
 
 @cache
@@ -125,6 +128,7 @@ def test_the_wheel_on_oil_is_found_and_the_odometry_goes_on_by_the_others(eighth
     assert found.turn <= 0.3
     assert found.codes.count("slip_over") == 1
     assert not [code for code in found.codes if code.startswith("fault")]
+    assert found.doubt <= 2.0, "by what the other wheels tell; by all of them it would be 3.3 degrees"
     assert found.way >= 2.0, "it drives on: where that wheel swings with all its torque it loses half of that"
 
 
@@ -150,7 +154,7 @@ def test_a_wrong_mass_and_a_slope_mislead_nobody(eighth: int, change: Callable[[
 
 
 @pytest.mark.parametrize("count", [5, 6])
-def test_of_five_and_six_wheels_the_residual_alone_names_it(count: int) -> None:
+def test_of_five_and_six_wheels_it_is_named_too(count: int) -> None:
     found = over_oil(0.4, 2, world=World("omni4", edit=ring(count)))
     assert found.named == {("w2",)}
     assert found.metres <= 0.006
@@ -213,6 +217,10 @@ def row(angle: float) -> tuple[float, float, float]:
 ROWS = [row(angle * pi / 180.0) for angle in (60, 120, 240, 300)]
 
 
+def rows_of_ring(count: int) -> list[tuple[float, float, float]]:
+    return [row(2.0 * pi * (place + 0.3) / count) for place in range(count)]
+
+
 def model(edit: Callable[[str], str] = str) -> SlipModel:
     config = parse(edit(robot_text("omni4")), "omni4")
     found = slip_model(config, build(config))
@@ -223,27 +231,30 @@ def model(edit: Callable[[str], str] = str) -> SlipModel:
 class Wheels:
     """Wheels at will before the detector: `slips` m/s at the rim on top of what the motion makes them do."""
 
-    def __init__(self) -> None:
-        config = parse(robot_text("omni4"), "omni4")
-        self._kinematics = build(config).kinematics
-        self.detector = SlipDetector(WHEELS, model())
-        self._speeds: list[float] = [0.0] * 4
+    def __init__(self, count: int = 4) -> None:
+        edit, self._rows = (str, ROWS) if count == 4 else (ring(count), rows_of_ring(count))
+        self._kinematics = build(parse(edit(robot_text("omni4")), "omni4")).kinematics
+        self._count = count
+        self.detector = SlipDetector([f"w{place}" for place in range(count)], model(edit))
         self.slip = NO_SLIP
 
     def see(
         self,
         twist: Twist,
-        slips: Sequence[float] = (0.0,) * 4,
+        slips: Sequence[float] | None = None,
         *,
-        torques: Sequence[float | None] = (None,) * 4,
+        torques: Sequence[float | None] | None = None,
         heading: Heading | None = None,
-        ages_ms: Sequence[float] = (0.5,) * 4,
+        ages_ms: Sequence[float] | None = None,
         unheard: int | None = None,
+        dt: float = DT,
     ) -> Slip:
-        rims = [a * twist.vx + b * twist.vy + c * twist.wz + s for (a, b, c), s in zip(ROWS, slips, strict=True)]
+        nobody: tuple[None, ...] = (None,) * self._count
+        slips, ages_ms = slips or (0.0,) * self._count, ages_ms or (0.5,) * self._count
+        rims = [a * twist.vx + b * twist.vy + c * twist.wz + s for (a, b, c), s in zip(self._rows, slips, strict=True)]
         speeds = tuple(None if place == unheard else rim / R for place, rim in enumerate(rims))
         ages = tuple(round(age * 1e6) for age in ages_ms)
-        measured = Measured(0, DT, speeds, (None,) * 4, tuple(torques), ages, (None,) * 4)
+        measured = Measured(0, dt, speeds, nobody, nobody if torques is None else tuple(torques), ages, nobody)
         estimate: Estimate | None = self._kinematics.twist(speeds, ())
         self.slip = self.detector.look(measured, speeds, estimate, heading)
         return self.slip
@@ -300,6 +311,63 @@ def test_one_sample_and_a_lost_wheel_are_no_slip() -> None:
             assert not wheels.see(AHEAD).slipping
     for _ in range(20):
         assert wheels.see(AHEAD, (1.0, 0.0, 0.0, 0.0), unheard=2) == NO_SLIP
+
+
+def test_three_cycles_are_needed_however_long_they_take() -> None:
+    wheels = Wheels()
+    wheels.see(AHEAD, dt=0.05)
+    seen = [wheels.see(AHEAD, (0.1, 0.0, 0.0, 0.0), dt=0.05).slipping for _ in range(3)]
+    assert seen == [False, False, True]
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_of_five_and_six_wheels_the_residual_alone_names_it(count: int) -> None:
+    """Without a torque and without a gyro; at once, but for one cycle in which nobody else may be found."""
+    for place in range(count):
+        wheels = Wheels(count)
+        wheels.see(AHEAD)
+        slips = [0.3 if other == place else 0.0 for other in range(count)]
+        first, second = wheels.see(AHEAD, slips), wheels.see(AHEAD, slips)
+        assert first.wheels == ()
+        assert (second.wheels, second.evidence) == ((place,), ("residual",))
+
+
+@pytest.mark.parametrize(
+    ("misfits", "found"),
+    [
+        ((0.9, 2.1, 3.0, 9.0), 0),
+        ((0.9, 1.9, 3.0, 9.0), None),  # the second does not fit, but not clearly
+        ((1.1, 2.1, 3.0, 9.0), None),  # the best does not fit either
+        ((2.1, 2.1, 3.0, 0.0), 3),
+        ((2.1, 2.1, 3.0, 4.0), None),
+    ],
+)
+def test_a_wheel_is_named_only_where_every_other_clearly_does_not_fit(
+    misfits: tuple[float, ...], found: int | None
+) -> None:
+    check = model().redundancy.of((True,) * 4)
+    assert check is not None
+    assert _only(check, misfits) == found
+
+
+@pytest.mark.parametrize("second", [1, 3])
+@pytest.mark.parametrize("after", range(60, 140, 16))
+def test_a_name_does_not_outlast_its_wheel(second: int, after: int) -> None:
+    """Wheel 0, then at once one of the other diagonal, at any time of the 0.3 s in which evidence is gathered."""
+    drag = (-0.09, -0.09, 0.09, 0.09)
+    kick = 0.004 * (0.2 / R) / DT  # N m that bring a wheel that is free to that speed within a cycle
+    wheels = Wheels()
+    wheels.see(AHEAD, torques=drag)
+    for cycle in range(after):
+        slip = wheels.see(AHEAD, (0.2, 0.0, 0.0, 0.0), torques=(drag[0] + (kick if cycle == 0 else 0.0), *drag[1:]))
+    assert slip.wheels == (0,)
+    slips = [0.2 if place == second else 0.0 for place in range(4)]
+    for cycle in range(60):
+        kicks = [(place == second) - (place == 0) if cycle == 0 else 0 for place in range(4)]
+        torques = [one + kick * times for one, times in zip(drag, kicks, strict=True)]
+        slip = wheels.see(AHEAD, slips, torques=torques)
+        assert slip.slipping
+    assert 0 not in slip.wheels
 
 
 def test_by_speeds_alone_four_wheels_say_that_one_slips_and_not_which() -> None:

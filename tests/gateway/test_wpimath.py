@@ -6,6 +6,7 @@ not roll along its pull but at 45 degrees to it. On the left an axle that points
 counts forward. So a mecanum wheel's speed is -sqrt 2 times our rim speed on the left, +sqrt 2 on the right.
 """
 
+from importlib import import_module
 from math import cos, pi, sin, sqrt
 from typing import Any
 
@@ -20,8 +21,8 @@ from gateway.kinematics.contract import desaturate
 from gateway.types import Displacement, Pose, Twist
 from tests.world import robot_text
 
-geometry: Any = pytest.importorskip("wpimath.geometry")
-kinematics: Any = pytest.importorskip("wpimath.kinematics")
+geometry: Any = import_module("wpimath.geometry")  # has no types
+kinematics: Any = import_module("wpimath.kinematics")
 
 ARM, RADIUS = 0.28, 0.0762
 ORDER = ("frontLeft", "rearLeft", "rearRight", "frontRight")  # ours: counter-clockwise from forward

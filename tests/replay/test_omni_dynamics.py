@@ -233,6 +233,29 @@ def test_a_push_at_the_centre_of_mass_shifts_no_load_and_the_floor_does() -> Non
     assert rear - front == pytest.approx(0.10 * force / 0.10, rel=1e-3)
 
 
+def test_a_robot_that_coasts_and_spins_shifts_no_load() -> None:
+    """Its velocity turns in its own axes and hardly in the world: the floor gives what the wheels ask for."""
+    plant = started()
+    plant.set_velocity((1.5, 0.0, 4.0))
+    for _ in range(500):
+        run(plant, H)
+        assert plant.loads == pytest.approx([WEIGHT / 4.0] * 4, abs=4.0)
+    assert plant.pose.theta > 1.9
+
+
+def test_a_push_keeps_its_direction_while_the_robot_spins() -> None:
+    """50 N for 0.5 s on 25 kg whose wheels weigh nothing: 1 m/s along world x, and none across."""
+    free = parameters(robot(joint_inertia=0.0, joint_friction=0.0, joint_drag=0.0))
+    wheels = tuple(wheel._replace(roller_inertia=0.0) for wheel in free.wheels)
+    plant = OmniDynamics(free._replace(wheels=wheels))
+    plant.set_velocity((0.0, 0.0, 4.0))
+    plant.push = 50.0
+    run(plant, 0.5)
+    c, s = cos(plant.pose.theta), sin(plant.pose.theta)
+    vx, vy, _ = plant.twist
+    assert (c * vx - s * vy, s * vx + c * vy) == pytest.approx((1.0, 0.0), abs=1e-5)
+
+
 def test_on_a_slope_that_the_motors_hold_the_lower_wheels_carry_more() -> None:
     """Weight along the slope at the centre, the floor's force below it: the moment is height times that force."""
     plant = started(friction=0.8)
@@ -375,16 +398,27 @@ def test_friction_that_drops_with_slip() -> None:
     assert held == pytest.approx(0.97 * 1.98 * accelerating(0.0)[1], rel=1e-3)
 
 
-def test_stribeck_friction_at_its_speed_has_lost_all_but_one_part_in_e() -> None:
-    """The body held still by its mass, one wheel spinning at the Stribeck speed."""
-    plant = started(friction=0.4, mass=5000.0, inertia=5000.0, height=None)
-    plant.stribeck = Stribeck(kinetic=0.5, speed=0.2)
+def test_how_friction_drops_with_slip() -> None:
+    """The body held still by its mass, one heavy wheel that slips at twice the Stribeck speed: e^-4 is left."""
+    plant = started(friction=0.4, mass=5000.0, inertia=5000.0, joint_inertia=10.0, height=None)
+    plant.stribeck = Stribeck(kinetic=0.5, speed=0.1)
     plant._spins[0] = 0.2 / 0.0762
     plant._tell_rates()
     before = plant.rates[0]
     plant.step((0.0,) * 4)
-    torque = 0.4 * (0.5 + 0.5 * 0.36787944) * 5000.0 * 9.81 / 4.0 * 0.0762
-    assert plant.rates[0] == pytest.approx(max(0.0, before - H * torque / 0.004), abs=1e-3)
+    torque = 0.4 * (0.5 + 0.5 * 0.01831564) * 5000.0 * 9.81 / 4.0 * 0.0762
+    assert before - plant.rates[0] == pytest.approx(H * torque / 10.0, rel=1e-6)
+
+
+def test_the_loads_of_a_high_robot_do_not_chatter() -> None:
+    """What slipping front wheels give less loads them more: at 0.30 m and mu 0.9 by 1.17 times as much."""
+    plant = started(friction=0.9, height=0.30)
+    run(plant, 0.1, tuple(map(float, 2.0 * accelerating(0.0)[0])))
+    assert plant.slipping == (0, 3)
+    for _ in range(20):
+        before = plant.loads
+        run(plant, H, tuple(map(float, 2.0 * accelerating(0.0)[0])))
+        assert plant.loads == pytest.approx(before, abs=0.05)
 
 
 # -- joints, robot file -----------------------------------------------------------------------------------------------

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from gateway.chassis.omni import OmniRobot, OmniWheel
 
-_INCH = 0.0254  # m
-_SLUG = 14.593902937206365  # kg
-_ROLLER_SHARE = 0.4 / 3.0  # radius of a roller in that of its wheel; [A] Table 3
+INCH = 0.0254  # m
+SLUG = 14.593902937206365  # kg
+ROLLER_SHARE = 0.4 / 3.0  # radius of a roller in that of its wheel; [A] Table 3
 _ROLLER_LENGTH = 3.0  # in radii of the roller; [A] Table 3
 _RUBBER = 1522.0  # kg/m^3; [A] Table 4, 0.00171 slug/in^3 (printed beside "aluminium", which the masses contradict)
 
@@ -55,7 +55,7 @@ def parameters(robot: OmniRobot) -> OmniParameters:
 
 
 def _wheel(wheel: OmniWheel, spin_inertia: float) -> WheelParameters:
-    radius = wheel.radius * _ROLLER_SHARE
+    radius = wheel.radius * ROLLER_SHARE
     mass = wheel.roller_mass
     if mass is None:
         mass = _RUBBER * pi * radius * radius * radius * _ROLLER_LENGTH
@@ -70,7 +70,7 @@ def _wheel(wheel: OmniWheel, spin_inertia: float) -> WheelParameters:
     )
 
 
-def kane_robot(lever: float = 8.0 * _INCH) -> OmniParameters:
+def kane_robot(lever: float = 8.0 * INCH) -> OmniParameters:
     """The robot of [A] (Tables 1 to 3 as printed, the axes as errata E-004-4 and 5 of science 5 put them), in SI.
 
     Wheels 1 and 2 roll forward, left and right of the centre; 3 and 4 roll to the left, behind and before it (signs of
@@ -82,18 +82,18 @@ def kane_robot(lever: float = 8.0 * _INCH) -> OmniParameters:
     turning = 1.39817
     for _, disc in spins:
         turning += disc + upright
-    square_inch = _SLUG * _INCH * _INCH
-    carried = _SLUG * (wheel + torus + roller)
+    square_inch = SLUG * INCH * INCH
+    carried = SLUG * (wheel + torus + roller)
     poses = ((0.0, lever, -pi / 2.0), (0.0, -lever, -pi / 2.0), (-lever, 0.0, 0.0), (lever, 0.0, 0.0))
     return OmniParameters(
-        mass=_SLUG * 0.0951426 + 4.0 * carried,
+        mass=SLUG * 0.0951426 + 4.0 * carried,
         inertia=square_inch * turning + 4.0 * carried * lever * lever,
         wheels=tuple(
             WheelParameters(
                 *pose,
-                radius=3.0 * _INCH,
+                radius=3.0 * INCH,
                 spin_inertia=square_inch * (disc + 0.0946465),
-                roller_radius=0.4 * _INCH,
+                roller_radius=0.4 * INCH,
                 roller_inertia=square_inch * 0.000110892,
             )
             for pose, (disc, _) in zip(poses, spins, strict=True)
