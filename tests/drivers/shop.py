@@ -20,7 +20,9 @@ class Shop:
         motor = motor._replace(
             max_speed=900.0, max_torque=0.23, max_current=20.0, feedback_rate=rate, command_rate=1e3 / period_ms
         )
-        setup = MotorSetup(motor.name, BUS, 1, variant, 900.0, 0.23, 20.0, inertia, rate, None)
+        setup = MotorSetup(
+            *(motor.name, BUS, 1, variant, 900.0, 0.23, 20.0, inertia, rate, None), options=motor.options
+        )
         self.device: SimulatedDevice = (CONTROLLERS | {"reply_only": SimulatedReplier})[driver](setup)
         self.driver: Driver = DRIVER_TYPES[driver](BUS, [motor])
         self.period_ms = period_ms

@@ -24,6 +24,17 @@ def gives_its_torque(shop: Shop) -> None:
         assert shop.torque == pytest.approx(torque, abs=2e-5)  # half a step of a C610 is 2.5e-6, of a C620 1e-5
 
 
+def turns_as_fast_as_its_voltage(shop: Shop) -> None:
+    """What friction takes is the same at any speed, so each volt more is as much speed more."""
+    speeds = []
+    for voltage in (2.0, 4.0, 6.0, -4.0):
+        shop.drive(MotorCommand(CommandKind.VOLTAGE, voltage), ms=2_000)
+        speeds.append(shop.shaft.velocity)
+    assert speeds[0] > 50.0
+    assert speeds[2] - speeds[1] == pytest.approx(speeds[1] - speeds[0], rel=1e-3)
+    assert speeds[3] == pytest.approx(-speeds[1], rel=1e-3)
+
+
 def comes_to_rest(shop: Shop) -> None:
     set_going(shop)
     shop.drive(BRAKE, ms=1_000)
@@ -48,6 +59,7 @@ def set_going(shop: Shop) -> None:
 OBEYED: dict[CommandKind, Callable[[Shop], None]] = {
     CommandKind.VELOCITY: reaches_its_velocity,
     CommandKind.TORQUE: gives_its_torque,
+    CommandKind.VOLTAGE: turns_as_fast_as_its_voltage,
     CommandKind.BRAKE: comes_to_rest,
     CommandKind.COAST: rolls_on_alone,
 }
