@@ -15,8 +15,8 @@ in one group, STATUS_4 (temperatures) in another, at rates that are set in VESC 
   One that has not expired in time is too long, off, or fed by somebody else, and is a latched fault. Where the VESC
   brakes when it expires, it does so for some hundredths of a second at the end of the check.
 
-A command timeout while driving leads to a fault that lasts until the host asks for coast: a VESC obeys the next command
-as if nothing had been.
+A host that gave no command for longer than that finds a fault that lasts until it asks for coast: the VESC itself would
+obey the next command as if nothing had been.
 
 Between two counts the position goes on with the speed, but never beyond the count, so that a slow wheel is seen moving.
 """
@@ -67,10 +67,14 @@ _TORQUE: Final = CommandKind.TORQUE
 _VOLTAGE: Final = CommandKind.VOLTAGE
 
 MS: Final = 1_000_000
-IDS: Final = range(254)  # 254 is the host, 255 all of them
-HOST_ID: Final = 254
+IDS: Final = range(127)
+ALL: Final = 255
+# Each VESC is asked by a host with an id of its own, which its answer goes to: two answers with one id would collide.
+HOST_BIT: Final = 0x80
 ID_BITS: Final = 8
-ID_MASK: Final = 0x1FFF_00FF  # bits 16 to 28 are zero in everything that a VESC sends or obeys
+# Bits 16 to 28 are zero in everything that a VESC sends or obeys.
+ID_MASK: Final = 0x1FFF_00FF
+ID_AND_HOST_MASK: Final = 0x1FFF_007F
 COMMAND_MASK: Final = 0x1FFF_FF00
 
 # Layouts, scales and numbers: github vedderb/bldc, documentation/comm_can.md, comm/comm_can.c, comm/commands.c.
@@ -96,7 +100,7 @@ SHORTEST_WATCHDOG_S: Final = 0.05  # so that it is seen before it expires
 ANSWER_TIMEOUT_NS: Final = 500 * MS
 CHECK_SLACK_NS: Final = 50 * MS  # the firmware looks at its timeout every 10 ms; the rest is for bus and questions
 CHECK_PATIENCE_NS: Final = 1000 * MS
-FED_NS: Final = 100 * MS  # of commands, after which an expired timeout says that they do not arrive
+CHECK_AGAIN_NS: Final = 1000 * MS  # of silence, in which the settings may have been changed
 STATUS_4_HZ: Final = 10.0
 
 _made: Final = maker(MotorFeedback)
@@ -151,9 +155,7 @@ _status_4: Final = STATUSES[STATUS_4].layout.unpack_from
 _status_5: Final = STATUSES[STATUS_5].layout.unpack_from
 STATUS_SIZE: Final = 8
 
-EXPIRED: Final = DriverFault(
-    "host_silent", "its command timeout expired: commands do not arrive in time", latched=False
-)
+EXPIRED: Final = DriverFault("host_silent", "no command for longer than its command timeout", latched=False)
 KILL_SWITCH: Final = DriverFault("kill_switch", "its kill switch is on", latched=False)
 NO_VOLTAGE: Final = DriverFault(
     "no_voltage", "tells an input voltage of 0 V, so no duty gives a voltage", latched=False
@@ -181,7 +183,7 @@ class _Motor:
         "erpm_limit",
         "erpm_per_rad_s",
         "fault",
-        "fed_since_ns",
+        "heard_ns",
         "kind",
         "min_erpm",
         "next_question_ns",
@@ -244,7 +246,7 @@ class _Motor:
 
         self.kind = _COAST
         self.commanded_ns: int | None = None
-        self.fed_since_ns: int | None = None  # since when setpoints are sent in every cycle
+        self.heard_ns = 0  # when it last was, as far as a command was given since
         self.checked = self.watchdog_ns is None
         self.check_begun_ns: int | None = None
         self.check_failed = False  # for now; it goes on
@@ -302,10 +304,6 @@ class _Motor:
             self.fault = KILL_SWITCH
         if not self.checked:
             self._check(bits & TIMED_OUT != 0, received_ns)
-        elif bits & TIMED_OUT and self.watchdog_ns is not None and self.kind is not _COAST and self.fault is None:
-            since_ns = self.fed_since_ns
-            if since_ns is not None and received_ns - since_ns >= max(FED_NS, self.watchdog_ns):
-                self.fault = EXPIRED
 
     def _check(self, timed_out: bool, received_ns: int) -> None:
         begun_ns, watchdog_ns = self.check_begun_ns, self.watchdog_ns
@@ -333,23 +331,23 @@ class _Motor:
         if now_ns >= self.next_question_ns:
             frames.append(self._question(now_ns))
         if not self.heard(now_ns):
-            self._forget_check()
-        elif not self.checked and (self.fault is None or not self.fault.latched):
-            self.fed_since_ns = None
+            if now_ns - self.heard_ns >= CHECK_AGAIN_NS or not self.checked:
+                self._forget_check()
+            frames.append(self.coast_frame)
+            return frames
+        self.heard_ns = now_ns
+        if not self.checked and (self.fault is None or not self.fault.latched):
             if self._check_begins(now_ns):
                 frames.append(self.coast_frame)
             return frames
-        if self.fed_since_ns is None:
-            self.fed_since_ns = now_ns
         frames.append(self._setpoint(command.kind, command.value) if self.obeys(now_ns) else self.coast_frame)
         return frames
 
     def _accept(self, command: MotorCommand, now_ns: int) -> None:
         before_ns, self.commanded_ns = self.commanded_ns, now_ns
-        if before_ns is not None and self.watchdog_ns is not None and now_ns - before_ns >= self.watchdog_ns:
-            self.fed_since_ns = None
-            if self.kind is not _COAST and self.fault is None and self.checked:
-                self.fault = EXPIRED
+        late = before_ns is not None and self.watchdog_ns is not None and now_ns - before_ns >= self.watchdog_ns
+        if late and self.kind is not _COAST and self.fault is None and self.checked:
+            self.fault = EXPIRED
         self.kind = command.kind
         if self.kind is _COAST and self.fault is not None and not self.fault.latched:
             self.fault = KILL_SWITCH if self.status_bits & KILLED else None
@@ -357,9 +355,8 @@ class _Motor:
     def _question(self, now_ns: int) -> CanFrame:
         self.next_question_ns = now_ns + (ASK_PERIOD_NS if self.checked else CHECK_PERIOD_NS)
         self.questions += 1
-        data = _QUESTION.pack(
-            HOST_ID, TO_BE_ANSWERED, GET_VALUES_SELECTIVE, ASK_FAULT if self.questions & 1 else ASK_STATUS
-        )
+        mask = ASK_FAULT if self.questions & 1 else ASK_STATUS
+        data = _QUESTION.pack(HOST_BIT | self.spec.id, TO_BE_ANSWERED, GET_VALUES_SELECTIVE, mask)
         return extended_frame(self.bus, PROCESS_SHORT_BUFFER << ID_BITS | self.spec.id, data)
 
     def _check_begins(self, now_ns: int) -> bool:
@@ -593,11 +590,13 @@ class VescDriver:
         return (*own, ReceiveFilter(PROCESS_SHORT_BUFFER << ID_BITS, COMMAND_MASK, extended=True))
 
     def ids(self) -> tuple[IdUse, ...]:
-        """Every command to each VESC, to all of them, and to the host that asks."""
-        uses = [(f"vesc {at} of motor {motor.spec.name}", at) for at, motor in self._by_id.items()]
-        uses += [("vesc host", HOST_ID), ("vesc commands to all", HOST_ID + 1)]
+        """Every command to each VESC, to the host that asks it, and to all of them."""
+        own = [
+            IdUse(f"vesc {at} of motor {motor.spec.name} and who asks it", at, ID_AND_HOST_MASK, extended=True)
+            for at, motor in self._by_id.items()
+        ]
         answers = IdUse("vesc answers", PROCESS_SHORT_BUFFER << ID_BITS, COMMAND_MASK, extended=True)
-        return (*(IdUse(user, at, ID_MASK, extended=True) for user, at in uses), answers)
+        return (*own, IdUse("vesc commands to all", ALL, ID_MASK, extended=True), answers)
 
     def _answer(self, identifier: int, data: bytes) -> tuple[_Motor, int, int] | None:
         """Whose answer to which question this is, and its value; also one that another host asked."""

@@ -118,9 +118,9 @@ def test_vesc_values_to_bytes(vector: dict[str, Any]) -> None:
     driver = vesc(at)
     for said in ("09{:02X}#0000000000000000", "1B{:02X}#0000000000F10000"):
         assert driver.receive(can_frame("0000" + said.format(at), received_ns=0))
-    assert driver.receive(can_frame(f"000008FE#{at:02X}01320000800000", received_ns=0))
+    assert driver.receive(can_frame(f"000008{128 | at:02X}#{at:02X}01320000800000", received_ns=0))
     sent = driver.command([MotorCommand(CommandKind(command["kind"]), command["value"])], now_ns=1)
-    assert [can_text(frame) for frame in sent] == [f"000008{at:02X}#FE003200008000", vector["frame"]]
+    assert [can_text(frame) for frame in sent] == [f"000008{at:02X}#{128 | at:02X}003200008000", vector["frame"]]
 
 
 @pytest.mark.parametrize("vector", VESC_SAID)
