@@ -23,7 +23,8 @@ from replay.drive.closed_loop import ClosedLoop, Cycle
 from replay.sim.bus import SimulatedBus
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
-NAMES = ("moby", "omni4")
+NAMES = ("moby", "omni4")  # one of each kind
+BUNDLED = (*NAMES, "omni4_vesc")  # where the controllers matter too
 Record = Cycle
 
 

@@ -20,7 +20,7 @@ from gateway.edges.can_bus import MAX_FRAMES_PER_DRAIN, REOPEN_NS, STUCK_CYCLES,
 from gateway.edges.can_thread import AdapterThread
 from gateway.edges.claims import Claims, InUseError
 from gateway.types import BusEvent, BusEventKind
-from tests.world import NAMES, ROBOTS, World
+from tests.world import BUNDLED, ROBOTS, World
 
 LEFT = 1 << 5
 SETPOINT = CanFrame("can0", LEFT | 0x0D, bytes(8))
@@ -503,15 +503,16 @@ def test_a_killed_process_holds_nothing(request: pytest.FixtureRequest) -> None:
     Claims("socketcan", request.node.name, [1]).release()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BUNDLED)
 def test_the_kernel_filters_let_pass_whatever_the_motors_say_and_nothing_foreign(name: str) -> None:
     world = World(name)
     world.start()
     filters = [wanted for group in build(world.config).groups for wanted in group.driver.receive_filters()]
-    heard = {frame.id for inputs, _ in world.records for frame in inputs.frames}
-    assert all(any(identifier & mask == wanted for wanted, mask, _ in filters) for identifier in heard)
+    heard = {(frame.id, frame.extended) for inputs, _ in world.records for frame in inputs.frames}
+    for identifier, extended in heard:
+        assert any(extended == long and identifier & mask == wanted for wanted, mask, long in filters)
+        assert not any(extended != long and identifier & mask == wanted for wanted, mask, long in filters)
     assert not any(0x7A5 & mask == wanted for wanted, mask, _ in filters)
-    assert not any(wanted.extended for wanted in filters)
 
 
 @pytest.mark.parametrize(("name", "expected"), [("lo", True), ("nonsense0", False)])

@@ -21,7 +21,7 @@ from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario, load_scenario
 from tests.random_drives import scenario
-from tests.world import NAMES, World, robot_text
+from tests.world import BUNDLED, NAMES, World, robot_text
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "deploy" / "scenarios").glob("*.toml"))
 EVERY = 23  # cycles between two snapshots: no divisor of any rate, so that they fall into all kinds of cycles
@@ -69,7 +69,7 @@ def test_restored_at_any_cycle_of_a_scenario(path: Path) -> None:
     assert goes_on_byte_for_byte(driven(script, config), config) > 50
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BUNDLED)
 def test_restored_at_every_cycle_of_a_start(name: str) -> None:
     world = World(name)
     world.start()

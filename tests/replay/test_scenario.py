@@ -22,7 +22,7 @@ from replay.drive.scenario import RESTART_S, Result, run_scenario
 from replay.drive.scenario_file import Scenario, check_names, load_scenario
 from replay.drive.trace import TraceWriter, columns
 from replay.sessions.reader import open_session
-from tests.world import NAMES, ROBOTS
+from tests.world import BUNDLED, ROBOTS
 
 ZERO = {"source": "teleop", "vx": 0.0, "vy": 0.0, "wz": 0.0}
 AHEAD = ZERO | {"vx": 0.4}
@@ -171,7 +171,7 @@ def test_a_wheel_without_inertia_cannot_slip() -> None:
 # -- the drive --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BUNDLED)
 def test_a_robot_drives_as_commanded(name: str) -> None:
     seen = moments(scenario(name, at=list(DRIVE)))
     assert [moment.t for moment in seen] == pytest.approx([cycle * 0.004 for cycle in range(750)])
@@ -296,7 +296,7 @@ def test_the_trace_has_a_row_per_cycle_and_says_what_is_unknown(tmp_path: Path) 
     assert all(isfinite(float(row["torque.left"])) for row in rows)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BUNDLED)
 def test_it_is_recorded_and_verified_also_across_a_restart(name: str, tmp_path: Path) -> None:
     path = ROBOTS / f"{name}.toml"
     config, text = load(path)
