@@ -407,8 +407,8 @@ class _Motor:
         return now_ns < self.answered_until_ns and self.measured(now_ns)
 
     def obeys(self, now_ns: int) -> bool:
-        """Whether it may be given a setpoint."""
-        return self.heard(now_ns) and self.checked and self.problem() is None
+        """Whether it may be given a setpoint, if its command timeout is not being checked."""
+        return self.heard(now_ns) and self.problem() is None
 
     def problem(self) -> DriverFault | None:
         """Why it may not, if it is heard."""

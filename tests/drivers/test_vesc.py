@@ -219,6 +219,16 @@ def test_a_fault_that_a_vesc_forgets_is_remembered(code: int, word: str) -> None
     assert told(bench).state is MotorState.OPERATIONAL
 
 
+def test_the_first_fault_is_the_one_that_is_told() -> None:
+    bench, fake = driven()
+    for code in (5, 4):
+        fake.fault = code
+        bench.run(FORWARD, ms=100)
+    fault = told(bench).fault
+    assert fault is not None
+    assert fault.text == "fault 5, OVER_TEMP_FET"
+
+
 def test_a_fault_that_is_still_there_comes_back_after_a_reset() -> None:
     bench, fake = driven()
     fake.fault = 200
@@ -304,6 +314,61 @@ def test_what_expired_before_the_check_proves_nothing() -> None:
     bench.run(FORWARD, ms=1400)
     assert told(bench).state is MotorState.OPERATIONAL, "it goes on asking"
     assert told(bench).fault is None
+
+
+def checking() -> tuple[Bench, FakeVesc]:
+    """Its check has begun, and its timeout has not expired."""
+    bench, fake = stand(motor=watched())
+    bench.run(FORWARD, ms=1000, until=lambda: MotorState.STARTING in bench.states)
+    bench.run(FORWARD, ms=40)
+    assert told(bench).state is MotorState.STARTING
+    return bench, fake
+
+
+def test_a_check_that_silence_broke_off_says_nothing() -> None:
+    """Meanwhile zero currents are sent, which feed it: that it has not expired is no wonder then."""
+    bench, fake = checking()
+    fake.statuses = ()
+    bench.run(FORWARD, ms=300)
+    assert told(bench).state is MotorState.SILENT
+    fake.statuses = (9, 27)
+    bench.run(FORWARD, ms=30)
+    assert told(bench).fault is None
+    bench.run(FORWARD, ms=200)
+    assert told(bench).state is MotorState.OPERATIONAL
+
+
+def test_a_reset_right_after_the_verdict_checks_anew() -> None:
+    bench, fake = stand(FakeVesc(3, timeout_ns=0), watched())
+    bench.run(FORWARD, ms=1000, until=lambda: MotorState.FAULT in bench.states)
+    fake.timeout_ns = 100 * MS
+    bench.driver.clear_faults()
+    bench.run(FORWARD, ms=200)
+    assert told(bench).state is MotorState.OPERATIONAL
+
+
+def status_answer(*, expired: bool, at: int) -> CanFrame:
+    return vesc_frame(0x83, 8, pack(">BBBIB", 3, 1, 50, 1 << 21, expired))._replace(received_ns=at)
+
+
+def test_an_answer_from_before_the_check_proves_nothing() -> None:
+    """It waited in an adapter: what it says of a timeout that has not expired is of another time."""
+    bench, fake = stand(motor=watched())
+    fake.deaf = lambda frame: frame.id >> 8 == 1
+    bench.run(FORWARD, ms=1000, until=lambda: MotorState.STARTING in bench.states)
+    begun_ns = bench.now_ns - 4 * MS
+    bench.driver.receive(status_answer(expired=False, at=begun_ns - 1))
+    bench.run(FORWARD, ms=400)
+    assert told(bench).state is MotorState.STARTING
+
+
+def test_a_check_that_begins_again_begins_with_nothing() -> None:
+    bench, fake = checking()
+    fake.deaf = lambda frame: frame.id >> 8 == 1 or frame.data[3:] == bytes.fromhex("00200000")
+    bench.run(FORWARD, ms=1100)
+    fake.deaf = lambda frame: frame.id >> 8 == 1
+    bench.run(FORWARD, ms=400)
+    assert told(bench).state is MotorState.FAULT, "the second zero current did not arrive"
 
 
 @pytest.mark.parametrize("lost", [2, 3])
