@@ -5,10 +5,12 @@ from typing import Final
 from drivers.contract import DriverType
 from drivers.dji import DjiDriver
 from drivers.odrive.group import OdriveDriver
+from drivers.vesc import VescDriver
 
 DRIVERS: Final[dict[str, DriverType]] = {
     "odrive": OdriveDriver,
     "dji": DjiDriver,
+    "vesc": VescDriver,
 }
 
 

@@ -23,3 +23,8 @@ _frame: Final = maker(CanFrame)
 def data_frame(bus: str, identifier: int, data: bytes) -> CanFrame:
     """A classic frame with a standard id, to be sent."""
     return _frame((bus, identifier, data, False, False, None, False, False))
+
+
+def extended_frame(bus: str, identifier: int, data: bytes) -> CanFrame:
+    """A classic frame with an extended id, to be sent."""
+    return _frame((bus, identifier, data, True, False, None, False, False))

@@ -89,6 +89,11 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"braking_raw_per_rpm", "command_period_ns", "kind", "raw_limit", "raw_per_torque", "raw_per_value", "rest_rpm"}
         | {"slot", "spec", "temperature", "timeout_ns"}
     ),
+    "drivers.vesc.VescDriver": frozenset({"_bus", "_by_id", "_coast_frames", "_stop_frames", "_takes"}),
+    "drivers.vesc._Motor": frozenset(
+        {"bus", "coast_frame", "current_limit", "duty_zero_frame", "erpm_limit", "erpm_per_rad_s", "min_erpm"}
+        | {"rad_per_count", "raw_per_torque", "spec", "stop_frame", "timeout_ns", "watchdog_ns"}
+    ),
     "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
     "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_routes"}),
     "drivers.odrive.axis.Axis": frozenset(

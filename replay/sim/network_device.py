@@ -15,12 +15,14 @@ logger = logging.getLogger(__name__)
 REOPEN_NS = 100_000_000
 
 _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK = 5, 0x7E0  # CANSimple: node id in the upper six bits
-_DJI_COMMANDS = tuple((at, 0x7FF) for at in (0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE))  # C610 manual, p. 8; GM6020: taproot
+_DJI_COMMANDS = tuple((at, 0x7FF, False) for at in (0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE))  # C610, p. 8; GM6020: taproot
+_VESC_MASK = 0x1FFF00FF  # documentation/comm_can.md: VESC id in the lowest byte, command in the next
 
-# What the controllers' own hardware filters let pass, (id, mask); without them foreign traffic would stall the world.
-HEARD: dict[str, Callable[[int], Sequence[tuple[int, int]]]] = {
-    "odrive": lambda node: ((node << _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK),),
+# What the controllers' own hardware filters let pass; without them foreign traffic would stall the world.
+HEARD: dict[str, Callable[[int], Sequence[tuple[int, int, bool]]]] = {  # id, mask, whether the id is extended
+    "odrive": lambda node: ((node << _ODRIVE_NODE_SHIFT, _ODRIVE_NODE_MASK, False),),
     "dji": lambda _: _DJI_COMMANDS,
+    "vesc": lambda node: ((node, _VESC_MASK, True),),
 }
 
 
@@ -80,5 +82,5 @@ class MotorsInterface(can.BusABC):
 
 
 def _heard(motor: Motor) -> list[can.typechecking.CanFilter]:
-    pairs = HEARD[motor.driver](motor.id)
-    return [{"can_id": identifier, "can_mask": mask, "extended": False} for identifier, mask in pairs]
+    heard = HEARD[motor.driver](motor.id)
+    return [{"can_id": identifier, "can_mask": mask, "extended": extended} for identifier, mask, extended in heard]

@@ -10,12 +10,14 @@ from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.controllers.dji import SimulatedDji
 from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.controllers.vesc import SimulatedVesc
 from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant, PlantName, Point, WithCaster
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,
     "dji": SimulatedDji,
+    "vesc": SimulatedVesc,
 }
 
 

@@ -21,6 +21,7 @@ from drivers.contract import (
 )
 from drivers.odrive.firmware import FIRMWARES
 from drivers.setpoint import CommandKind, MotorCommand
+from drivers.vesc import SETPOINTS
 from tests.drivers.reply_only import REPLY, ReplyOnlyDriver, command_values, reply_data
 
 BUS = "can0"
@@ -32,6 +33,7 @@ ODRIVE_OPTIONS: Mapping[str, OptionValue] = {
     "watchdog_enable_endpoint": 188,
     "watchdog_timeout_endpoint": 189,
 }
+NEEDED_OPTIONS: Mapping[str, Mapping[str, OptionValue]] = {"vesc": {"pole_pairs": 7, "min_erpm": 20}}
 PAIRS = [(driver, variant) for driver, kind in DRIVERS.items() for variant in kind.variants]
 DRIVER_TYPES: dict[str, DriverType] = DRIVERS | {"reply_only": ReplyOnlyDriver}
 # Controllers that are set up in one of several modes: variant and options of each.
@@ -58,8 +60,9 @@ def spec(
     rate = None if variant in ReplyOnlyDriver.variants else 250.0
     top, supply = (33.0, 24.0) if variant == "gm6020 voltage" else (100.0, None)
     variant, modes = MODES.get(variant, (variant, options))
+    options = options or modes or NEEDED_OPTIONS.get(variant, {})
     return MotorSpec(
-        *(name or f"motor_{id}", id, variant, top, 2.0, 20.0, rate, 250.0, watchdog_s, options or modes), supply=supply
+        *(name or f"motor_{id}", id, variant, top, 2.0, 20.0, rate, 250.0, watchdog_s, options), supply=supply
     )
 
 
@@ -69,16 +72,18 @@ def watched(variant: str = "0.6", *, id: int = 3) -> MotorSpec:
 
 
 def can_frame(text: str, *, received_ns: int | None = None) -> CanFrame:
-    """Frame from `id#data` in hex, or `id#R` for a remote one."""
+    """Frame from `id#data` in hex, or `id#R` for a remote one; an id of 8 digits is extended."""
     identifier, _, data = text.partition("#")
+    extended = len(identifier) == 8
     if data == "R":
-        return CanFrame(BUS, int(identifier, 16), b"", remote=True, received_ns=received_ns)
-    return CanFrame(BUS, int(identifier, 16), bytes.fromhex(data), received_ns=received_ns)
+        return CanFrame(BUS, int(identifier, 16), b"", extended, remote=True, received_ns=received_ns)
+    return CanFrame(BUS, int(identifier, 16), bytes.fromhex(data), extended, received_ns=received_ns)
 
 
 def can_text(frame: CanFrame) -> str:
     """The other way round."""
-    return f"{frame.id:03X}#{'R' if frame.remote else frame.data.hex().upper()}"
+    identifier = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
+    return f"{identifier}#{'R' if frame.remote else frame.data.hex().upper()}"
 
 
 class Device(Protocol):
@@ -188,6 +193,48 @@ class FakeDji:
         return [CanFrame(BUS, self.first + self.id, pack(">HhhBB", 4096, 0, 0, 30, 0), received_ns=now_ns)]
 
 
+@dataclass
+class FakeVesc:
+    """One motor at rest: says STATUS and STATUS_5, answers what it is asked, and has a command timeout of 0.1 s."""
+
+    id: int
+    powered: bool = True
+    timeout_ns: int = 100 * MS
+    fault: int = 0
+    killed: bool = False
+    answering: bool = True
+    statuses: tuple[int, ...] = (9, 27)
+    voltage: float = 24.0
+    deaf: Callable[[CanFrame], bool] = lambda _frame: False  # frames that get lost on the way to it
+    fed_ns: int = 0
+
+    def answers(self, frames: Sequence[CanFrame], now_ns: int) -> list[CanFrame]:
+        """What is heard from it until now."""
+        if not self.powered:
+            return []
+        replies = [reply for frame in frames if frame.id & 0xFF == self.id for reply in self._reply(frame, now_ns)]
+        said = {9: pack(">ihh", 0, 0, 0), 16: pack(">4h", 300, 290, 0, 0), 27: pack(">ihxx", 0, int(10 * self.voltage))}
+        replies += [vesc_frame(self.id, command, said[command]) for command in self.statuses]
+        return [reply._replace(received_ns=now_ns) for reply in replies]
+
+    def _reply(self, frame: CanFrame, now_ns: int) -> list[CanFrame]:
+        if self.deaf(frame):
+            return []
+        if frame.id >> 8 != 8:
+            self.fed_ns = now_ns
+            return []
+        host, what, packet, mask = unpack(">BBBI", frame.data)
+        if not self.answering or (what, packet) != (0, 50):
+            return []
+        expired = self.timeout_ns > 0 and now_ns - self.fed_ns > self.timeout_ns
+        value = self.fault if mask == 1 << 15 else expired | self.killed << 1
+        return [vesc_frame(host, 8, pack(">BBBIB", self.id, 1, 50, mask, value))]
+
+
+def vesc_frame(id: int, command: int, data: bytes) -> CanFrame:
+    return CanFrame(BUS, command << 8 | id, data, extended=True)
+
+
 def claimed(able: Capabilities) -> set[CommandKind]:
     """The kinds of command that a controller of these capabilities takes."""
     declared = {
@@ -265,13 +312,27 @@ def dji_setpoints(frame: CanFrame) -> tuple[float, ...]:
     return unpack(">4h", frame.data) if frame.id in {0x200, 0x1FF, 0x2FF, 0x1FE, 0x2FE} else ()
 
 
-def odrive_measurement(node: int, position: float, velocity: float) -> CanFrame:
-    return CanFrame(BUS, node << 5 | 0x09, pack("<ff", position / (2 * pi), velocity / (2 * pi)))
+def vesc_setpoints(frame: CanFrame) -> tuple[float, ...]:
+    """Duty, current or speed that a VESC is asked for; a current brake asks for no motion."""
+    command = frame.id >> 8
+    if command not in {0, 1, 2, 3}:
+        return ()
+    return (0.0,) if command == 2 else unpack(">i", frame.data)
 
 
-def dji_measurement(id: int, position: float, velocity: float, *, first: int = 0x200) -> CanFrame:
+def odrive_measurement(node: int, position: float, velocity: float) -> tuple[CanFrame, ...]:
+    return (CanFrame(BUS, node << 5 | 0x09, pack("<ff", position / (2 * pi), velocity / (2 * pi))),)
+
+
+def dji_measurement(id: int, position: float, velocity: float, *, first: int = 0x200) -> tuple[CanFrame, ...]:
     ticks = int(position / (2 * pi) * 8192) % 8192
-    return CanFrame(BUS, first + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0))
+    return (CanFrame(BUS, first + id, pack(">HhhBB", ticks, round(velocity * 30 / pi), 0, 30, 0)),)
+
+
+def vesc_measurement(id: int, position: float, velocity: float) -> tuple[CanFrame, ...]:
+    counts, erpm = round(position / (2 * pi) * 42), int(velocity * 30 / pi * 7)
+    status, status_5 = pack(">ihh", erpm, 0, 0), pack(">ihxx", counts, 240)
+    return vesc_frame(id, 9, status), vesc_frame(id, 27, status_5)
 
 
 @dataclass
@@ -284,9 +345,13 @@ class Rig:
     device: Callable[[int, str], Device]
     setpoints: Callable[[CanFrame], tuple[float, ...]]
     fault_frame: Callable[[int, str], CanFrame] | None
-    measurement: Callable[[int, float, float], CanFrame]  # of an id, at so many rad and rad/s
+    measurement: Callable[[int, float, float], tuple[CanFrame, ...]]  # of an id, at so many rad and rad/s
     watchdogs: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)  # by variant: options with it
     commands: frozenset[str] = frozenset()  # names of the messages that a host sends
+    extended: bool = False  # its ids
+    lengths: tuple[int, int] = (8, 8)  # bytes of a setpoint and of a measurement
+    cyclic: int = 1  # frames of each motor at its feedback rate
+    every_id: Sequence[int] = range(0x800)  # every one that may mean something
 
     def from_host(self, decoded: DecodedFrame) -> bool:
         """Whether a host says this, and no controller."""
@@ -338,8 +403,26 @@ RIGS: dict[str, Rig] = {
         device=lambda id, _variant: FakeReplier(id),
         setpoints=command_values,
         fault_frame=lambda id, _variant: CanFrame(BUS, REPLY + id, reply_data(7, 0.0, 0.0)),
-        measurement=lambda id, position, velocity: CanFrame(BUS, REPLY + id, reply_data(0, position, velocity)),
+        measurement=lambda id, position, velocity: (CanFrame(BUS, REPLY + id, reply_data(0, position, velocity)),),
         commands=frozenset({"command"}),
+    ),
+    "vesc": Rig(
+        kinds=(
+            *(CommandKind.VELOCITY, CommandKind.TORQUE, CommandKind.VOLTAGE),
+            *(CommandKind.BRAKE, CommandKind.COAST),
+        ),
+        ids=(3, 0),
+        bad_ids=(-1, 127, 128, 255),
+        device=lambda id, _variant: FakeVesc(id),
+        setpoints=vesc_setpoints,
+        fault_frame=lambda id, _variant: vesc_frame(128 | id, 8, pack(">BBBIB", id, 1, 50, 1 << 15, 5)),
+        measurement=vesc_measurement,
+        watchdogs={"vesc": NEEDED_OPTIONS["vesc"]},
+        commands=frozenset(message.name for message in SETPOINTS.values()) | {"GET_VALUES_SELECTIVE request"},
+        extended=True,
+        lengths=(4, 8),
+        cyclic=2,
+        every_id=[command << 8 | id for command in (*range(64), 0x100, 0x1FFFFF) for id in (0, 1, 3, 4, 128, 131, 255)],
     ),
 }
 

@@ -3,6 +3,7 @@
 import math
 from itertools import pairwise
 from struct import error as struct_error
+from struct import pack
 from typing import Any
 
 import pytest
@@ -27,6 +28,7 @@ from tests.drivers.rig import (
     FakeDji,
     FakeOdrive,
     FakeReplier,
+    FakeVesc,
     Rig,
     bench,
     claimed,
@@ -54,7 +56,7 @@ def moving_kinds(rig: Rig) -> list[CommandKind]:
 
 def power(stand: Bench, *, on: bool) -> None:
     for device in stand.devices:
-        assert isinstance(device, FakeOdrive | FakeDji | FakeReplier)
+        assert isinstance(device, FakeOdrive | FakeDji | FakeReplier | FakeVesc)
         device.powered = on
 
 
@@ -252,7 +254,7 @@ def test_foreign_short_remote_extended_and_sent_frames_are_ignored(driver: str, 
     for frame in known:
         strange = [
             frame._replace(bus="can1"),
-            frame._replace(extended=True),
+            frame._replace(extended=not frame.extended),
             frame._replace(remote=True, data=b""),
             frame._replace(fd=not frame.fd),
             frame._replace(received_ns=None),
@@ -363,13 +365,15 @@ def test_every_frame_sent_and_heard_can_be_put_in_words(driver: str, variant: st
 
 @every_variant
 def test_traffic_counts_both_directions(driver: str, variant: str) -> None:
-    stand, _ = bench(driver, variant)
+    stand, rig = bench(driver, variant)
     traffic = stand.driver.traffic(loop_rate_hz=200.0)
     assert len({item.name for item in traffic}) == len(traffic)
-    assert all(item.length == 8 and not item.extended and item.rate_hz > 0 for item in traffic)
+    assert all(item.extended == rig.extended and item.rate_hz > 0 for item in traffic)
     cyclic = spec(variant).feedback_rate is not None
-    assert sum(item.rate_hz == 200.0 for item in traffic) == (2 if cyclic else 4)  # commands, and their replies
-    assert sum(item.rate_hz == 250.0 for item in traffic) == (2 if cyclic else 0)
+    command, measurement = rig.lengths
+    lengths = {rate: [item.length for item in traffic if item.rate_hz == rate] for rate in (200.0, 250.0)}
+    assert lengths[200.0] == [command] * 2 + ([] if cyclic else [measurement] * 2)
+    assert lengths[250.0] == ([measurement] * 2 * rig.cyclic if cyclic else [])
 
 
 def uses(use: IdUse, frame: CanFrame) -> bool:
@@ -483,15 +487,31 @@ def test_a_watchdog_outlives_a_lost_frame_at_any_loop_rate(rate: float) -> None:
             DRIVERS["odrive"](BUS, [motor(wrong)])
 
 
-FRAMES = st.builds(
-    CanFrame,
-    bus=st.sampled_from([BUS, BUS, BUS, "can1"]),
-    id=st.one_of(st.integers(0x60, 0x7F), st.integers(0, 0x1F), st.integers(0x1FE, 0x20B), st.integers(0, 0x1FFF_FFFF)),
-    data=st.binary(max_size=12),
-    extended=st.sampled_from([False, False, False, True]),
-    remote=st.sampled_from([False, False, False, True]),
-    received_ns=st.one_of(st.none(), st.integers(0, 3_000 * MS)),
+SHORT_IDS = st.one_of(
+    st.integers(0x60, 0x7F), st.integers(0, 0x1F), st.integers(0x1FE, 0x20B), st.integers(0, 0x1FFF_FFFF)
 )
+LONG_IDS = st.builds(lambda command, id: command << 8 | id, st.integers(0, 63), st.sampled_from([3, 0, 128, 131]))
+ANSWERS = st.builds(
+    lambda id, mask, value: pack(">BBBIB", id, 1, 50, 1 << mask, value),
+    *(st.sampled_from([3, 0, 9]), st.sampled_from([15, 21, 7]), st.integers(0, 255)),
+)
+DATA = st.one_of(st.binary(max_size=12), st.binary(min_size=8, max_size=8), ANSWERS)
+
+
+def frames(ids: st.SearchStrategy[int], *, extended: bool) -> st.SearchStrategy[CanFrame]:
+    """Mostly of this form."""
+    return st.builds(
+        CanFrame,
+        bus=st.sampled_from([BUS, BUS, BUS, "can1"]),
+        id=ids,
+        data=DATA,
+        extended=st.sampled_from([extended, extended, extended, not extended]),
+        remote=st.sampled_from([False, False, False, True]),
+        received_ns=st.one_of(st.none(), st.integers(0, 3_000 * MS)),
+    )
+
+
+FRAMES = st.one_of(frames(SHORT_IDS, extended=False), frames(LONG_IDS, extended=True))
 NUMBERS = st.floats(allow_nan=False)
 
 
@@ -538,10 +558,10 @@ def test_what_receive_refuses_is_shown_as_no_measurement(pair: tuple[str, str], 
 def test_decode_and_receive_agree_for_every_id_and_length(driver: str, variant: str) -> None:
     stand, rig = bench(driver, variant)
     for fill in (b"\x00", b"\xff", b"\x1f"):
-        for identifier in range(0x800):
+        for identifier in rig.every_id:
             for length in range(9):
-                frame = CanFrame(BUS, identifier, fill * length, received_ns=stand.now_ns)
-                for each in (frame, frame._replace(remote=True), frame._replace(extended=True)):
+                frame = CanFrame(BUS, identifier, fill * length, rig.extended, received_ns=stand.now_ns)
+                for each in (frame, frame._replace(remote=True), frame._replace(extended=not rig.extended)):
                     agree(stand, rig, each)
 
 
@@ -558,11 +578,11 @@ def agree(stand: Bench, rig: Rig, frame: CanFrame) -> None:
 
 @every_variant
 def test_every_id_with_every_length_is_harmless(driver: str, variant: str) -> None:
-    stand, _ = operational(driver, variant, moving_kinds(rig_of(driver, variant))[0])
+    stand, rig = operational(driver, variant, moving_kinds(rig_of(driver, variant))[0])
     for fill in (b"\x00", b"\xff", b"\x7f", b"\x80"):
-        for identifier in range(0x800):
+        for identifier in rig.every_id:
             for length in (0, 1, 4, 5, 7, 8):
-                frame = CanFrame(BUS, identifier, fill * length, received_ns=stand.now_ns)
+                frame = CanFrame(BUS, identifier, fill * length, rig.extended, received_ns=stand.now_ns)
                 try:
                     stand.driver.receive(frame)
                     stand.driver.decode(frame)

@@ -24,6 +24,7 @@ from drivers.odrive.firmware import (
 )
 from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import CommandKind, MotorCommand
+from drivers.vesc import SETPOINTS, STATUSES, VescDriver
 from tests.drivers.rig import BUS, MS, Bench, FakeOdrive, spec
 
 
@@ -69,6 +70,34 @@ BO_ 513 Feedback: 8 ESC
  SG_ temperature_c : 55|8@0+ (1,0) [0|0] "degC" HOST
 """
 DJI_DATABASE = database(DJI_DBC)
+# Of VESC 10: ids with bit 31, as a DBC tells extended ones; scales and units of documentation/comm_can.md.
+VESC_DBC = """VERSION ""
+BS_:
+BU_: HOST VESC
+BO_ 2147483658 SET_DUTY: 4 HOST
+ SG_ duty : 7|32@0- (0.00001,0) [0|0] "" VESC
+BO_ 2147483914 SET_CURRENT: 4 HOST
+ SG_ current : 7|32@0- (0.001,0) [0|0] "A" VESC
+BO_ 2147484170 SET_CURRENT_BRAKE: 4 HOST
+ SG_ current : 7|32@0- (0.001,0) [0|0] "A" VESC
+BO_ 2147484426 SET_RPM: 4 HOST
+ SG_ erpm : 7|32@0- (1,0) [0|0] "rpm" VESC
+BO_ 2147486218 SET_CURRENT_REL: 4 HOST
+ SG_ share : 7|32@0- (0.00001,0) [0|0] "" VESC
+BO_ 2147485962 STATUS: 8 VESC
+ SG_ erpm : 7|32@0- (1,0) [0|0] "rpm" HOST
+ SG_ current : 39|16@0- (0.1,0) [0|0] "A" HOST
+ SG_ duty : 55|16@0- (0.001,0) [0|0] "" HOST
+BO_ 2147487754 STATUS_4: 8 VESC
+ SG_ t_fet : 7|16@0- (0.1,0) [0|0] "degC" HOST
+ SG_ t_motor : 23|16@0- (0.1,0) [0|0] "degC" HOST
+ SG_ i_in : 39|16@0- (0.1,0) [0|0] "A" HOST
+ SG_ pid_pos : 55|16@0- (0.02,0) [0|0] "deg" HOST
+BO_ 2147490570 STATUS_5: 8 VESC
+ SG_ tacho : 7|32@0- (1,0) [0|0] "" HOST
+ SG_ v_in : 39|16@0- (0.1,0) [0|0] "V" HOST
+"""
+VESC_DATABASE = database(VESC_DBC)
 
 NODE = 3
 IN_DBC = [
@@ -269,3 +298,83 @@ def test_gm6020_feedback(angle: int, rpm: int, current: int, temperature: int) -
         assert feedback.position == pytest.approx(angle * 2 * pi / 8192)
         assert feedback.velocity == pytest.approx(rpm * 2 * pi / 60)
         assert (feedback.torque, feedback.voltage, feedback.temperature_c) == (torque, None, temperature)
+
+
+def vesc_driver() -> VescDriver:
+    return VescDriver(BUS, [spec("vesc", id=10)])
+
+
+@pytest.mark.parametrize("message", VESC_DATABASE.messages, ids=lambda message: message.name)
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_vesc_layouts(message: Message, data: st.DataObject) -> None:
+    assert message.is_extended_frame
+    payload = data.draw(st.binary(min_size=message.length, max_size=message.length))
+    decoded = vesc_driver().decode(CanFrame(BUS, message.frame_id, payload, extended=True))
+    assert decoded is not None
+    assert decoded.message == message.name
+    assert dict(decoded.fields) == pytest.approx(numbers(message, payload))
+
+
+def test_no_message_of_a_vesc_is_missing_or_extra() -> None:
+    ours = {
+        command << 8 | 10: (message.name, message.layout.size) for command, message in (SETPOINTS | STATUSES).items()
+    }
+    assert ours == {message.frame_id: (message.name, message.length) for message in VESC_DATABASE.messages}
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "name", "scale"),  # 7 pole pairs, 2 N m at 20 A, 24 V
+    [
+        (CommandKind.VELOCITY, 100.0, "erpm", 7 * 30 / pi),
+        (CommandKind.TORQUE, 2.0, "current", 10.0),
+        (CommandKind.VOLTAGE, 24.0, "duty", 1 / 24),
+    ],
+)
+@settings(max_examples=50, deadline=None)
+@given(share=st.floats(-1.5, 1.5))
+def test_what_a_vesc_is_told_is_what_the_dbc_reads(
+    kind: CommandKind, limit: float, name: str, scale: float, share: float
+) -> None:
+    driver = vesc_driver()
+    for status, values in (("STATUS", {"erpm": 0, "current": 0, "duty": 0}), ("STATUS_5", {"tacho": 0, "v_in": 24.0})):
+        message = VESC_DATABASE.get_message_by_name(status)
+        driver.receive(CanFrame(BUS, message.frame_id, message.encode(values), extended=True, received_ns=0))
+    driver.receive(CanFrame(BUS, 0x88A, bytes.fromhex("0A01320000800000"), extended=True, received_ns=0))
+    _, frame = driver.command([MotorCommand(kind, share * limit)], now_ns=1)
+    message = VESC_DATABASE.get_message_by_frame_id(frame.id, force_extended_id=True)
+    step = {"erpm": 1.0, "current": 1e-3, "duty": 1e-5}[name]
+    wanted = max(-limit, min(limit, share * limit)) * scale
+    if message.name == "SET_DUTY" and kind is CommandKind.VELOCITY:  # below the minimum of 20 ERPM
+        assert numbers(message, frame.data) == {"duty": 0.0}
+        assert abs(wanted) < 20.0
+        return
+    read = numbers(message, frame.data)[name]
+    assert abs(wanted) - 1.001 * step <= abs(read) <= abs(wanted) + 1e-9
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    erpm=st.integers(-100_000, 100_000),
+    current=st.integers(-32768, 32767),
+    tacho=st.integers(-(2**31), 2**31 - 1),
+    v_in=st.integers(0, 1000),
+    heat=st.tuples(st.integers(-400, 1500), st.integers(-400, 1500)),
+)
+def test_what_the_dbc_writes_is_what_a_vesc_measures(
+    erpm: int, current: int, tacho: int, v_in: int, heat: tuple[int, int]
+) -> None:
+    driver = vesc_driver()
+    for name, values in (
+        ("STATUS", {"erpm": erpm, "current": current / 10, "duty": 0.5}),
+        ("STATUS_4", {"t_fet": heat[0] / 10, "t_motor": heat[1] / 10, "i_in": 1.0, "pid_pos": 90.0}),
+        ("STATUS_5", {"tacho": tacho, "v_in": v_in / 10}),
+    ):
+        message = VESC_DATABASE.get_message_by_name(name)
+        assert driver.receive(CanFrame(BUS, message.frame_id, message.encode(values), extended=True, received_ns=0))
+    (feedback,) = driver.feedback(now_ns=0)
+    assert feedback.velocity == pytest.approx(erpm / 7 * 2 * pi / 60)
+    assert feedback.position == pytest.approx(tacho / 42 * 2 * pi)
+    assert feedback.torque == pytest.approx(current / 10 * 2.0 / 20.0)
+    assert feedback.voltage == pytest.approx(v_in / 10)
+    assert feedback.temperature_c == pytest.approx(max(heat) / 10)

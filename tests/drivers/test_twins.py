@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from drivers import DRIVERS
-from drivers.contract import CanFrame, Driver, MotorSpec, MotorState
+from drivers.contract import Driver, MotorSpec, MotorState
 from drivers.setpoint import CommandKind, MotorCommand
 from tests.drivers.rig import BUS, DRIVER_TYPES, MS, UNDER_CONTRACT, rig_of, spec
 
@@ -17,16 +17,17 @@ Reading = tuple[float, float, float]  # s, rad, rad/s
 Line = Callable[[list[Reading], Random], list[Reading]]
 
 
-def frame(driver: str, reading: Reading, *, id: int = 3, variant: str = "") -> CanFrame:
+def hear(unit: Driver, driver: str, reading: Reading, *, id: int = 3, variant: str = "") -> None:
     t, position, velocity = reading
-    return rig_of(driver, variant).measurement(id, position, velocity)._replace(received_ns=round(t * 1e9))
+    for said in rig_of(driver, variant).measurement(id, position, velocity):
+        unit.receive(said._replace(received_ns=round(t * 1e9)))
 
 
 def fault_after(driver: str, variant: str, readings: list[Reading]) -> int | None:
     """How many readings it takes until two controllers are told of; None: all of them are not enough."""
     unit = DRIVER_TYPES[driver](BUS, [spec(variant)])
     for number, reading in enumerate(readings, 1):
-        unit.receive(frame(driver, reading, variant=variant))
+        hear(unit, driver, reading, variant=variant)
         if told(unit) is not None:
             return number
     return None
@@ -83,9 +84,9 @@ def test_the_fault_names_id_and_bus_and_stays_until_it_is_cleared(driver: str, v
     for said in rig_of(driver, variant).device(3, variant).answers([], 0):
         unit.receive(said)
     for reading in together(turning(0.0, count=10), turning(0.0, start=1.0, at=0.5, count=10)):
-        unit.receive(frame(driver, reading, variant=variant))
+        hear(unit, driver, reading, variant=variant)
     for reading in turning(0.0, start=1.0, count=50):
-        unit.receive(frame(driver, reading, variant=variant))
+        hear(unit, driver, reading, variant=variant)
     one, other = unit.feedback(now_ns=0)
     assert one.state is MotorState.FAULT
     assert one.fault is not None
@@ -96,20 +97,20 @@ def test_the_fault_names_id_and_bus_and_stays_until_it_is_cleared(driver: str, v
     unit.clear_faults()
     assert told(unit) is None
     for reading in turning(0.0, start=2.0, count=50):
-        unit.receive(frame(driver, reading, variant=variant))
+        hear(unit, driver, reading, variant=variant)
     assert told(unit) is None
 
 
 def test_the_rotor_of_a_dji_twin_is_neither_driven_nor_braked() -> None:
     unit = DRIVERS["dji"](BUS, [spec("c620")])
     for reading in turning(50.0, count=10):
-        unit.receive(frame("dji", reading))
+        hear(unit, "dji", reading)
     now_ns = 40 * MS
     command = [MotorCommand(CommandKind.TORQUE, 1.0)]
     assert any(unit.command(command, now_ns=now_ns)[0].data)
     assert any(unit.stop_frames(now_ns=now_ns)[0].data)
     for reading in together(turning(50.0, count=30), turning(0.0, at=0.5, count=30)):
-        unit.receive(frame("dji", reading))
+        hear(unit, "dji", reading)
     assert told(unit) is not None
     assert not any(unit.command(command, now_ns=now_ns)[0].data)
     assert not any(unit.stop_frames(now_ns=now_ns)[0].data)
@@ -192,9 +193,9 @@ def test_a_motor_of_omni4_at_its_top_speed_and_1_khz() -> None:
     one, two = DRIVERS["dji"](BUS, [fast]), DRIVERS["dji"](BUS, [fast])
     for index in range(3000):
         moving = (index * 1e-3, 864.0 * index * 1e-3, 864.0)
-        one.receive(frame("dji", moving))
-        two.receive(frame("dji", moving))
-        two.receive(frame("dji", (index * 1e-3 + 3e-4, 1.0, 0.0)))
+        hear(one, "dji", moving)
+        hear(two, "dji", moving)
+        hear(two, "dji", (index * 1e-3 + 3e-4, 1.0, 0.0))
     assert told(one) is None
     assert told(two) is not None
 
@@ -206,5 +207,5 @@ def test_one_fast_rotor_in_bursts_with_most_frames_lost(seed: int) -> None:
     unit = DRIVERS["dji"](BUS, [MotorSpec("m", 3, "c620", 864.0, 2.0, 20.0, 1000.0, 250.0, None)])
     readings = list(rough_drive(chance, 6000, top=864.0, period=1e-3))
     for reading in in_bursts([one for one in readings if chance.random() > 0.7], chance):
-        unit.receive(frame("dji", reading))
+        hear(unit, "dji", reading)
     assert told(unit) is None

@@ -11,6 +11,7 @@ from drivers.dji import DjiDriver
 from drivers.odrive.axis import Axis
 from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import COAST, CommandKind, MotorCommand
+from drivers.vesc import VescDriver
 from tests.drivers.rig import BUS, can_frame, can_text, spec
 
 VECTORS = Path(__file__).parent.parent / "vectors"
@@ -108,3 +109,45 @@ def test_dji_feedback_in_si(vector: dict[str, Any]) -> None:
     assert feedback.torque == (None if torque is None else pytest.approx(torque, rel=1e-4))
     assert feedback.temperature_c == vector.get("temperature_c")
     assert (feedback.voltage, feedback.age_ns) == (None, 7)
+
+
+VESC = [pytest.param(vector, id=vector["name"]) for vector in load("vesc")]
+VESC_COMMANDS = [pytest.param(vector, id=vector["name"]) for vector in load("vesc") if "command" in vector]
+VESC_SAID = [pytest.param(vector, id=vector["name"]) for vector in load("vesc") if "command" not in vector]
+
+
+def vesc(motor: int) -> VescDriver:
+    """The driver of the motor that the vectors are of."""
+    return VescDriver(BUS, [spec("vesc", id=motor)._replace(max_current=100.0)])
+
+
+@pytest.mark.parametrize("vector", VESC)
+def test_vesc_bytes_to_values(vector: dict[str, Any]) -> None:
+    decoded = vesc(vector["motor"]).decode(can_frame(vector["frame"]))
+    assert decoded is not None
+    assert (decoded.motor, decoded.message) == (f"motor_{vector['motor']}", vector["message"])
+    assert list(dict(decoded.fields)) == list(vector["fields"])
+    assert dict(decoded.fields) == pytest.approx(vector["fields"], rel=1e-12)
+
+
+@pytest.mark.parametrize("vector", VESC_COMMANDS)
+def test_vesc_values_to_bytes(vector: dict[str, Any]) -> None:
+    at, command = vector["motor"], vector["command"]
+    driver = vesc(at)
+    for said in ("09{:02X}#0000000000000000", "1B{:02X}#0000000000F10000"):
+        assert driver.receive(can_frame("0000" + said.format(at), received_ns=0))
+    assert driver.receive(can_frame(f"000008{128 | at:02X}#{at:02X}01320000800000", received_ns=0))
+    sent = driver.command([MotorCommand(CommandKind(command["kind"]), command["value"])], now_ns=1)
+    assert [can_text(frame) for frame in sent] == [f"000008{at:02X}#{128 | at:02X}003200008000", vector["frame"]]
+
+
+@pytest.mark.parametrize("vector", VESC_SAID)
+def test_what_a_vesc_says_in_si(vector: dict[str, Any]) -> None:
+    driver = vesc(vector["motor"])
+    heard = driver.receive(can_frame(vector["frame"], received_ns=0))
+    assert heard == (vector["message"] in {"STATUS", "STATUS_4", "STATUS_5", "GET_VALUES_SELECTIVE"})
+    (feedback,) = driver.feedback(now_ns=7)
+    for name in ("position", "velocity", "torque", "voltage", "temperature_c"):
+        value = getattr(feedback, name)
+        assert value is None if name not in vector else value == pytest.approx(vector[name], rel=1e-9)
+    assert (feedback.fault.text if feedback.fault else None) == vector.get("fault")

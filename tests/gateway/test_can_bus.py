@@ -508,10 +508,11 @@ def test_the_kernel_filters_let_pass_whatever_the_motors_say_and_nothing_foreign
     world = World(name)
     world.start()
     filters = [wanted for group in build(world.config).groups for wanted in group.driver.receive_filters()]
-    heard = {frame.id for inputs, _ in world.records for frame in inputs.frames}
-    assert all(any(identifier & mask == wanted for wanted, mask, _ in filters) for identifier in heard)
+    heard = {(frame.id, frame.extended) for inputs, _ in world.records for frame in inputs.frames}
+    for identifier, extended in heard:
+        assert any(extended == long and identifier & mask == wanted for wanted, mask, long in filters)
+        assert not any(extended != long and identifier & mask == wanted for wanted, mask, long in filters)
     assert not any(0x7A5 & mask == wanted for wanted, mask, _ in filters)
-    assert not any(wanted.extended for wanted in filters)
 
 
 @pytest.mark.parametrize(("name", "expected"), [("lo", True), ("nonsense0", False)])

@@ -21,7 +21,7 @@ from gateway.config import Bus, ConfigError, load, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
 from gateway.core.examination import examine, frame_bits, frame_time
-from tests.world import NAMES, ROBOTS, robot_text
+from tests.world import BUNDLED, NAMES, ROBOTS, robot_text
 
 WRONG = [
     (
@@ -331,7 +331,11 @@ def test_not_toml_and_not_there(tmp_path: Path) -> None:
         load(tmp_path / "none.toml")
 
 
-@pytest.mark.parametrize("name", NAMES)
+def test_every_robot_file_is_known_to_the_tests() -> None:
+    assert {path.stem for path in ROBOTS.glob("*.toml")} == set(BUNDLED)
+
+
+@pytest.mark.parametrize("name", BUNDLED)
 def test_bundled_robots_are_sound(name: str) -> None:
     report = examine(parse(robot_text(name), name), name)
     assert report.rank == 3
