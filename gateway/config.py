@@ -126,6 +126,14 @@ class SpeedLoop(Section):
     ki: NonNegative  # N m per rad
 
 
+class Winding(Section):
+    """Of a motor that is told voltages: ohm between its terminals, V s/rad (or N m/A) at its shaft, V that it has."""
+
+    resistance: Annotated[float, Field(ge=1e-3, le=100.0, description="ohm")]
+    back_emf: Annotated[float, Field(ge=1e-4, le=10.0, description="V s/rad at the motor shaft")]
+    voltage: Annotated[float, Field(ge=1.0, le=100.0, description="V")]
+
+
 class Motor(Section):
     name: Name
     driver: Annotated[str, Field(max_length=32)]
@@ -146,6 +154,7 @@ class Motor(Section):
     watchdog: Watchdog | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
+    winding: Winding | None = None  # for a launch by voltage steps
     options: dict[Annotated[str, Field(max_length=64)], Option] = Field({}, max_length=32)  # the driver's own
 
     @model_validator(mode="before")

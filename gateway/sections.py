@@ -14,6 +14,7 @@ Rate = Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")]
 Limit = Annotated[float, Field(ge=1e-3, le=1e4, description="m or rad, per s, s^2 or s^3")]
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0.0, le=1e6)]
+Height = Annotated[float, Field(gt=0.0, le=10.0, description="m above the floor")]
 
 
 class Section(BaseModel):
@@ -30,3 +31,6 @@ class Body(Section):
     joint_friction: NonNegative = 0.0  # N m s/rad at every driven joint
     joint_drag: NonNegative = 0.0  # N m of dry friction and rolling resistance at every driven joint
     joint_inertia: NonNegative = 0.0  # kg m^2 of every driven joint, rotor included, at the output
+    centre_height: Height | None = (
+        None  # of the centre of mass; unknown: acceleration shifts no load between the wheels
+    )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple, Protocol
 
 from gateway.control.drive_law import DriveLaw
+from gateway.control.launch import Pusher
 from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Body
@@ -82,6 +83,7 @@ class LawParts(NamedTuple):
     acceleration: Rates
     period: float  # s
     delay: float  # s, by which a measurement may be old
+    pushers: tuple[Pusher, ...]  # what each motor can be told of a push
 
 
 class Chassis(Protocol):

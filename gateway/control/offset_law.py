@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from drivers.setpoint import CommandKind
 from gateway.arithmetic import angle_of, sin_cos
 from gateway.control.compensation import Compensation, PathRate, RegionAt, region_at, region_refusal
-from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
+from gateway.control.drive_law import Features, Floor, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, settled, wrapped
 from gateway.control.region_policy import RegionPolicy, Seen, still
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
@@ -116,6 +116,10 @@ class OffsetDifferentialLaw:
         if self._policy is None or (region is _ANY and self._policy.idle):
             return target
         return self._policy.aim(target, self._seen(measured, whole=whole), region=region, path_rate=path_rate)
+
+    def floor(self, aim: Rates, setpoint: Rates, *, whole: bool) -> Floor:
+        """It gives everything, as far as is known."""
+        return self._speeds.floor(aim, setpoint, whole=whole)
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""

@@ -9,6 +9,8 @@ from drivers.contract import Capabilities, Driver, MotorSpec
 from gateway.chassis.contract import LawParts
 from gateway.config import ConfigError, Motor, RobotConfig
 from gateway.control.drive_law import DriveLaw
+from gateway.control.grip import GripError
+from gateway.control.launch import Pusher, Winding
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission
 from gateway.core.detectors import Limits
@@ -51,16 +53,21 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     groups = _groups(config, motors, origin)
     able = _capabilities(groups)
     loops = _speed_loops(motors, able, origin)
+    joints = tuple(map(_with_loop, able, loops))
+    try:
+        law = config.robot.law(_law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops))))
+    except GripError as error:
+        raise ConfigError(origin, [f"robot.grip: {error}"]) from None
     return Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
         groups=groups,
         transmissions=tuple(Transmission(motor.gear_ratio * motor.direction, motor.zero) for motor in motors),
         speed_loops=loops,
-        capabilities=tuple(map(_with_loop, able, loops)),
+        capabilities=joints,
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
-        law=config.robot.law(_law_parts(config, kinematics)),
+        law=law,
     )
 
 
@@ -69,7 +76,7 @@ def feedback_delay(config: RobotConfig) -> float:
     return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
 
 
-def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
+def _law_parts(config: RobotConfig, kinematics: Kinematics, pushers: tuple[Pusher, ...]) -> LawParts:
     names, limits = config.robot.motor_names(), config.limits
     accelerations = limits.motor_acceleration
     return LawParts(
@@ -80,7 +87,17 @@ def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
         acceleration=limits.acceleration.as_rates(kinematics.axes),
         period=1.0 / config.loop.rate,
         delay=feedback_delay(config),
+        pushers=pushers,
     )
+
+
+def _pusher(motor: Motor, joint: Capabilities, loop: SpeedLoop | None) -> Pusher:
+    """At the output. A voltage is for a motor whose speed control takes no torque besides."""
+    winding, given = None, motor.winding
+    if given is not None and joint.voltage and not joint.feed_forward:
+        back_emf = given.back_emf * motor.gear_ratio
+        winding = Winding(given.resistance / back_emf, back_emf, given.voltage)
+    return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None, winding=winding)
 
 
 def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:

@@ -101,6 +101,7 @@ class Engine:
         self._kinematics = robot.kinematics
         self._law = robot.law
         self._selects = len(robot.law.features.regions) > 1  # commands may ask for a way round
+        self._grips = robot.law.features.grip
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source, robot.law.features)
         axes = robot.kinematics.axes
@@ -499,10 +500,17 @@ class Engine:
             if self._selects:
                 whole = self._mode is not _DEGRADED
                 aim = self._law.aim(aim, measured, region=region, path_rate=path_rate, whole=whole)
-            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom)
+            floor = 1.0
+            if self._grips:
+                aim, floor = self._law.floor(aim, self._limiter.rates, whole=all(health.usable))
+            _, active = self._limiter.step(aim, measured.dt, effort=effort * floor, headroom=headroom)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
+            if floor < 1.0 and "acceleration" in active:
+                limits = (*limits, "grip")
         elif braking:
             self._brake(measured, health)
+            if self._grips:
+                self._law.floor(self._limiter.rates, self._limiter.rates, whole=all(health.obeying))
         else:
             self._limiter.reset()
         if self._mode is _ESTOP:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.contract import DriverFault, MotorState
 from drivers.setpoint import CommandKind
-from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
+from gateway.control.drive_law import TWISTS, Features, Floor, JointCommand, Measured, Motion
 from gateway.types import ZERO_TWIST, Mode, Rates, Region, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
@@ -39,6 +39,9 @@ class Balance:
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         return target
+
+    def floor(self, aim: Rates, setpoint: Rates, *, whole: bool) -> Floor:
+        return Floor(aim, 1.0)
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)
