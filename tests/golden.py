@@ -11,7 +11,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from math import cos, hypot, pi, sin
+from math import cos, expm1, hypot, inf, pi, sin
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.control.compensation import Compensation, RegionAt
+from gateway.control.launch import stepped_voltage
 from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
@@ -229,6 +230,17 @@ def _inverse_dynamics(given: Vector) -> dict[str, Any]:
     }
 
 
+def _voltage_stepping(given: Vector) -> dict[str, Any]:
+    """The motor between two steps is an exponential approach of its back-EMF to the voltage."""
+    most = inf if given["Vmax"] is None else given["Vmax"]
+    back_emf, volts, after = 0.0, [], []
+    for _ in range(given["n"]):
+        volts.append(stepped_voltage(given["V0"], back_emf, most))
+        back_emf += (volts[-1] - back_emf) * -expm1(-given["dt"] / given["tau_m"])
+        after.append(back_emf)
+    return {"V": volts, "E_after": after}
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -242,6 +254,7 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.step_theta": _step_theta,
     "profile.trapezoid_quarter": _trapezoid,
     "moby.inverse_dynamics": _inverse_dynamics,
+    "motor.voltage_stepping": _voltage_stepping,
     "omni.D": _omni_d,
     "omni.D_pinv": _omni_d_pinv,
     "omni.slip_projector": _omni_slip_projector,
