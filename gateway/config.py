@@ -157,7 +157,7 @@ class Motor(Section):
     watchdog: Watchdog | None = None
     watchdog_waiver: Annotated[str, Field(min_length=20, max_length=300)] | None = None
     speed_loop: SpeedLoop | None = None
-    winding: Winding | None = None  # of a motor that is told voltages
+    winding: Winding | None = None  # of a motor that can be told voltages
     options: dict[Annotated[str, Field(max_length=64)], Option] = Field({}, max_length=32)  # the driver's own
 
     @model_validator(mode="before")

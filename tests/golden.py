@@ -12,7 +12,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from math import cos, hypot, pi, sin
+from math import cos, hypot, inf, pi, sin
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.control.compensation import Compensation, RegionAt
+from gateway.control.launch import stepped_voltage
 from gateway.control.pull_region import Pull, examine, goal_of
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.forces import PushTable, force_coupling, least_forces
@@ -290,8 +291,7 @@ def _voltage_stepping(given: Vector) -> dict[str, Any]:
     motor, top = DcMotor(resistance=1.0, constant=1.0), given["Vmax"]
     rate, voltages, after = 0.0, [], []
     for _ in range(given["n"]):
-        wanted = given["V0"] + motor.back_emf(rate)
-        voltages.append(wanted if top is None else min(wanted, top))
+        voltages.append(stepped_voltage(given["V0"], motor.back_emf(rate), inf if top is None else top))
         rate = _spun(motor, rate, voltages[-1], inertia=given["tau_m"], seconds=given["dt"])
         after.append(motor.back_emf(rate))
     return {"V": voltages, "E_after": after}

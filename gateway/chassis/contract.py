@@ -5,6 +5,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw
+from gateway.control.launch import Pusher
 from gateway.kinematics.contract import Kinematics
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Body
@@ -87,6 +88,7 @@ class LawParts(NamedTuple):
     jerk: Rates
     period: float  # s
     delay: float  # s, by which a measurement may be old
+    pushers: tuple[Pusher, ...]  # what each motor can be told of a push
 
 
 class Chassis(Protocol):

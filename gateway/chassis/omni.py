@@ -16,7 +16,10 @@ from pydantic import Field
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
 from gateway.control.decoupled import Saturation
-from gateway.control.drive_law import SpeedLaw
+from gateway.control.drive_law import DriveLaw, SpeedLaw
+from gateway.control.grip import Grip
+from gateway.control.launch import LaunchLaw
+from gateway.control.launch_slip import Losses
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
 from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section
@@ -56,6 +59,12 @@ class OmniWheel(Section):
     roller_mass: Positive | None = None
 
 
+class GripConfig(Section):
+    """What the floor gives a wheel: a launch accelerates as hard as that lets it, and no harder."""
+
+    friction: Annotated[float, Field(ge=0.05, le=2.0, description="of the rollers on the floor, times the load")]
+
+
 class OmniRobot(Section):
     """n omni wheels at arbitrary poses."""
 
@@ -67,6 +76,7 @@ class OmniRobot(Section):
     body: Body
     wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
     saturation: Saturation = Saturation.BOTH
+    grip: GripConfig | None = None
 
     def motor_names(self) -> tuple[str, ...]:
         """Motors of the chassis in wheel order."""
@@ -83,9 +93,28 @@ class OmniRobot(Section):
         """None of its own."""
         return ()
 
-    def law(self, parts: LawParts) -> SpeedLaw:
-        """Every wheel at its speed."""
-        return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+    def law(self, parts: LawParts) -> DriveLaw:
+        """Every wheel at its speed, and no harder than it grips where the robot file says how that is."""
+        speeds = SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+        if self.grip is None:
+            return speeds
+        body = self.body
+        return LaunchLaw(
+            speeds,
+            grip=Grip(
+                self.kinematics().rim_matrix,
+                [(wheel.x, wheel.y) for wheel in self.wheel],
+                mass=body.mass,
+                inertia=body.inertia,
+                height=body.centre_height or 0.0,
+            ),
+            friction=self.grip.friction,
+            radii=[wheel.radius for wheel in self.wheel],
+            losses=Losses(body.joint_inertia, body.joint_friction, body.joint_drag),
+            acceleration=parts.acceleration,
+            top_speeds=parts.top_speeds,
+            pushers=parts.pushers,
+        )
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """One rigid body."""

@@ -19,6 +19,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from gateway.control.limits import (
+    Ground,
     arrives,
     excess,
     landing_slope,
@@ -81,22 +82,28 @@ class Decoupled:
         self._wheels = wheels
 
     def step(
-        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float
+        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None
     ) -> tuple[Rates, Rates, tuple[str, ...]]:
         """Setpoint and its rate after dt seconds, and the names of the limits at work; `effort` as for the whole."""
-        first, second, active = self._aims(rates, target)
+        first, second, active = self._aims(rates, target, ground)
         if dt <= 0.0:
             return rates, rate, active
         one = Going(self._first.of(rates), self._first.of(rate), first)
         two = Going(self._second.of(rates), self._second.of(rate), second)
         free = spare(rates, self._acceleration, summed(summed(first, second, 1.0), rates, -1.0))
-        one_after, one_rate = self._walk_first(one, two, free, dt=dt, effort=effort)
-        two_after, two_rate = self._walk_second(two, one_rate, free, dt=dt, effort=effort)
+        given = self._given(one, rates, ground, self._falling(two.rate, dt))
+        one_after, one_rate = self._walk_first(one, two, free, dt=dt, effort=effort * given)
+        left = self._given(two, rates, ground, one_rate)
+        two_after, two_rate = self._walk_second(two, one_rate, free, dt=dt, effort=effort * left)
         if one_after != first or two_after != second:
-            active = (*active, "acceleration")
+            active = (*active, "acceleration", "grip") if min(given, left) < 1.0 else (*active, "acceleration")
         return summed(one_after, two_after, 1.0), summed(one_rate, two_rate, 1.0), active
 
-    def _aims(self, rates: Rates, target: Rates) -> tuple[Rates, Rates, tuple[str, ...]]:
+    def _given(self, going: Going, rates: Rates, ground: Ground | None, beside: Rates) -> float:
+        """What the floor gives a group beside the acceleration of the other: all of it, as far as is known."""
+        return 1.0 if ground is None else ground.effort(rates, summed(going.aim, going.now, -1.0), beside)
+
+    def _aims(self, rates: Rates, target: Rates, ground: Ground | None) -> tuple[Rates, Rates, tuple[str, ...]]:
         """Where the first group and the second may go now, and which limits keep them from their targets."""
         first, second = self._first.of(target), self._second.of(target)
         top_first, top_second = scale_to(first, self._velocity), scale_to(second, self._velocity)
@@ -107,11 +114,14 @@ class Decoupled:
             active.append("motor_speed")
             cut.append(self._first.name)
             top_first = scaled(top_first, alone)
-        beside = min(self._fits(top_first, top_second, active), self._fits(self._first.of(rates), top_second, active))
+        beside = min(
+            self._fits(top_first, top_second, active, ground),
+            self._fits(self._first.of(rates), top_second, active, ground),
+        )
         if beside < _WHOLE:
             cut.append(self._second.name)
             top_second = scaled(top_second, beside)
-        until = self._fits(self._second.of(rates), top_first, active)
+        until = self._fits(self._second.of(rates), top_first, active, ground)
         if until < _WHOLE:
             cut.append(self._first.name)
             top_first = scaled(top_first, until)
@@ -119,12 +129,15 @@ class Decoupled:
             return top_first, top_second, ()
         return top_first, top_second, tuple(dict.fromkeys([*active, *[f"{name}_cut" for name in cut]]))
 
-    def _fits(self, kept: Rates, added: Rates, active: list[str]) -> float:
+    def _fits(self, kept: Rates, added: Rates, active: list[str], ground: Ground | None) -> float:
         """The share of the one group that wheels and floor have left beside the other; what holds it is noted."""
         wheels = self._wheels.share(kept, added, self._wheels.speeds)
         if wheels < _WHOLE:
             active.append("motor_speed")
-        turning = turning_excess(summed(kept, added, 1.0), self._acceleration)
+        both = summed(kept, added, 1.0)
+        turning = turning_excess(both, self._acceleration)
+        if ground is not None:
+            turning = max(turning, ground.turning(both))
         if turning * _WHOLE > 1.0:
             active.append("turning")
             return min(wheels, 1.0 / turning)

@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from drivers.setpoint import CommandKind, Setpoint
-from gateway.control.limits import excess
+from gateway.control.limits import Ground, excess
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
 from gateway.types import Attitude, Event, Facts, Rates, Region, TwistCommand
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
 _VELOCITY: Final = CommandKind.VELOCITY
+_TOO_FAST: Final = ("motor_speed",)
 
 
 class Measured(NamedTuple):
@@ -89,6 +90,7 @@ class Features(NamedTuple):
     width: bool = False  # the wheels can go apart
     regions: frozenset[Region] = frozenset({Region.ANY})
     more_regions: str = ""  # what the robot file has to say for others, where anything helps
+    grip: bool = False  # it knows what the floor gives
 
     def objection(self, command: TwistCommand) -> str | None:
         """Why this command is none for this chassis; None: it is one."""
@@ -133,6 +135,14 @@ class DriveLaw(Protocol):
 
         Of a law with more than one region asked before the limits of the body, in each cycle that drives, and before
         `motion`. `region`: the way round that the command asks for; `whole`: every motor is well.
+        """
+        ...
+
+    def ground(self, *, whole: bool) -> Ground | None:
+        """What the floor gives; None: everything, as far as is known.
+
+        Only of a law that knows (`Features.grip`): asked in every cycle that drives or brakes, before `motion`.
+        `whole`: every motor obeys.
         """
         ...
 
@@ -203,24 +213,32 @@ class SpeedLaw:
         """All of it."""
         return target
 
+    def ground(self, *, whole: bool) -> Ground | None:
+        """It does not know."""
+        return None
+
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""
         return self.motion_at(setpoint, self.angles_ahead(measured), braking=braking)
 
     def motion_at(self, setpoint: Rates, angles: Sequence[float | None], *, braking: bool) -> Motion:
         """The same with the steered joints at these angles, rad."""
+        speeds, share = self.speeds_at(setpoint, angles, braking=braking)
+        return Motion(_velocities(speeds), share, () if share == 1.0 else _TOO_FAST)
+
+    def speeds_at(self, setpoint: Rates, angles: Sequence[float | None], *, braking: bool) -> tuple[list[float], float]:
+        """Rad/s of every joint, and which share of the setpoint that is."""
         self._blind = self._blind and braking
         speeds = None if self._blind else self._kinematics.wheel_speeds(setpoint, angles)
         if speeds is None:
             self._blind = braking
-            return Motion(_velocities(self._in_proportion(setpoint)))
+            return self._in_proportion(setpoint), 1.0
         share = desaturate(speeds, self._top_speeds)
-        limits: tuple[str, ...] = ()
         if share < 1.0:
             setpoint = tuple([axis * share for axis in setpoint])
-            speeds, limits = [speed * share for speed in speeds], ("motor_speed",)
+            speeds = [speed * share for speed in speeds]
         self._ramp = excess(setpoint, self._velocity), speeds
-        return Motion(_velocities(speeds), share, limits)
+        return speeds, share
 
     def stop(self, measured: Measured) -> Motion:
         """Every joint braked."""

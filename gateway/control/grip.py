@@ -23,7 +23,10 @@ from gateway.kinematics.linear import Matrix, Vector, pseudo_inverse, transpose
 
 GRAVITY: Final = 9.81  # m/s^2
 _IN_PLANE: Final = 1e-9  # of a row's length: what stands out of a facet by less lies in it
-_SAME: Final = 1e-12  # of two normals
+_PAIR: Final = 2
+_NONE: Final = (0.0, 0.0, 0.0)
+_UNITS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+Three = tuple[float, float, float]
 
 
 class GripError(ValueError):
@@ -34,15 +37,27 @@ class Facet(NamedTuple):
     """One limit of what the wheels push together, along a normal y: y . w <= mu (load + shift . a).
 
     `signs`: of row_k . y, 0 of the wheels in its plane, `within`; `load` N and `shift` kg: sum |row_k . y| n_k.
-    `rest`: forces, in N per N and N m of a wrench in the plane, of the wheels in it, where they are two.
+    `rest`: forces of the wheels in it for a wrench in the plane, in N per N and N m: by load where they are more than
+    two.
     """
 
-    normal: tuple[float, float, float]
+    normal: Three
     load: float
     shift: tuple[float, float]
     signs: tuple[float, ...]
     within: tuple[int, ...]
-    rest: Matrix
+    rest: tuple[Three, ...]
+
+
+class Cone(NamedTuple):
+    """Accelerations a (m/s^2, m/s^2, rad/s^2) that end at one facet: where limit . a = 1 is what the floor gives.
+
+    `forces`: rows that give each wheel's, N: at the limit those that use least of what wheels may push, below it in
+    proportion.
+    """
+
+    limit: Three
+    forces: tuple[Three, ...]
 
 
 class Share(NamedTuple):
@@ -68,7 +83,7 @@ class Grip:
         inertia: float,
         height: float,
     ) -> None:
-        self._rows = tuple([(row[0], row[1], row[2]) for row in rows])
+        self.rows = tuple([(row[0], row[1], row[2]) for row in rows])
         self._places = tuple(places)
         self.masses = (mass, mass, inertia)
         self._shifted = mass * height  # kg m
@@ -85,20 +100,14 @@ class Grip:
         loads = self._all_down(ax, ay)
         return loads if min(loads) >= 0.0 else self._some_up(ax, ay, loads)
 
-    def limits(self, friction: float) -> tuple[tuple[float, float, float], ...]:
-        """Every b with b . a <= 1 for the accelerations a (m/s^2, m/s^2, rad/s^2) that the floor gives.
+    def cones(self, friction: float) -> tuple[Cone, ...]:
+        """Every limit of what the wheels push together, with how they share a push whose limit it is."""
+        return tuple([self._cone(facet, sign, friction) for facet in self.facets for sign in (1.0, -1.0)])
 
-        Within them no wheel slips, however small a share of the others' is left to it, and none lifts.
-        """
-        found: list[tuple[float, float, float]] = []
-        for facet in self.facets:
-            for sign in (1.0, -1.0):
-                x, y, z = [sign * part * of for part, of in zip(facet.normal, self.masses, strict=True)]
-                given = friction * facet.load
-                shift_x, shift_y = facet.shift
-                found.append(((x - friction * shift_x) / given, (y - friction * shift_y) / given, z / given))
-        found += [(-x / load, -y / load, 0.0) for load, (x, y) in zip(self.resting, self.shifts, strict=True) if x or y]
-        return tuple(_distinct(found))
+    def lifting(self) -> tuple[Three, ...]:
+        """Limits beyond which a wheel leaves the floor, as those of cones."""
+        found = [(-x / load, -y / load, 0.0) for load, (x, y) in zip(self.resting, self.shifts, strict=True) if x or y]
+        return tuple(found)
 
     def shared(self, acceleration: Sequence[float], friction: float) -> Share:
         """Forces for an acceleration of the body, so that the largest part of mu times load is as small as may be."""
@@ -108,7 +117,7 @@ class Grip:
         use, along, facet = 0.0, 0.0, self.facets[0]
         for one in self.facets:
             pushed, given = dot(one.normal, wrench), 0.0
-            for row, most in zip(self._rows, may, strict=True):
+            for row, most in zip(self.rows, may, strict=True):
                 given += most * abs(dot(row, one.normal))
             part = abs(pushed) / given if given > 0.0 else inf if pushed != 0.0 else 0.0
             if part > use:
@@ -118,7 +127,7 @@ class Grip:
         side = use if along > 0.0 else -use
         forces = [side * sign * most for sign, most in zip(facet.signs, may, strict=True)]
         left = list(wrench)
-        for row, force in zip(self._rows, forces, strict=True):
+        for row, force in zip(self.rows, forces, strict=True):
             left = [part - force * of for part, of in zip(left, row, strict=True)]
         for index, force in zip(facet.within, self._in_plane(facet, left, may), strict=True):
             forces[index] = force
@@ -126,9 +135,9 @@ class Grip:
 
     def _in_plane(self, facet: Facet, left: Sequence[float], may: Sequence[float]) -> list[float]:
         """Forces of the wheels in a facet's plane for what the others leave of a wrench."""
-        if facet.rest:
+        if len(facet.within) == _PAIR:
             return [dot(row, left) for row in facet.rest]
-        rows = [self._rows[index] for index in facet.within]
+        rows = [self.rows[index] for index in facet.within]
         most = [may[index] for index in facet.within]
         use, along, chosen, across = 0.0, 0.0, rows[0], facet.normal
         for row in rows:
@@ -147,6 +156,25 @@ class Grip:
             wrench = [part - force * of for part, of in zip(wrench, row, strict=True)]
         return _in_line(rows, signs, forces, most, dot(wrench, chosen) / dot(chosen, chosen))
 
+    def _cone(self, facet: Facet, sign: float, friction: float) -> Cone:
+        given = friction * facet.load
+        x, y, z = [sign * part * of for part, of in zip(facet.normal, self.masses, strict=True)]
+        shift_x, shift_y = facet.shift
+        limit = ((x - friction * shift_x) / given, (y - friction * shift_y) / given, z / given)
+        forces = [
+            _times(sign * side * friction, (load * limit[0] + x, load * limit[1] + y, load * limit[2]))
+            for side, load, (x, y) in zip(facet.signs, self.resting, self.shifts, strict=True)
+        ]
+        left = [_times(mass, axis) for mass, axis in zip(self.masses, _UNITS, strict=True)]  # wrench per acceleration
+        for row, force in zip(self.rows, forces, strict=True):
+            left = [_plus(part, _times(-of, force)) for part, of in zip(left, row, strict=True)]
+        for index, shares in zip(facet.within, facet.rest, strict=True):
+            total = _NONE
+            for share, part in zip(shares, left, strict=True):
+                total = _plus(total, _times(share, part))
+            forces[index] = total
+        return Cone(limit, tuple(forces))
+
     # loads
 
     def _plane(self, indices: Sequence[int]) -> Matrix:
@@ -157,7 +185,7 @@ class Grip:
         )
 
     def _at_rest(self) -> tuple[float, ...]:
-        loads = tuple([row[0] * self._weight for row in self._plane(range(len(self._rows)))])
+        loads = tuple([row[0] * self._weight for row in self._plane(range(len(self.rows)))])
         for index, load in enumerate(loads):
             if not load > 0.0:
                 raise GripError(
@@ -167,7 +195,7 @@ class Grip:
 
     def _shifts(self) -> tuple[tuple[float, float], ...]:
         """Of each load, N per m/s^2 forward and to the left."""
-        plane = self._plane(range(len(self._rows)))
+        plane = self._plane(range(len(self.rows)))
         return tuple([(-row[1] * self._shifted, -row[2] * self._shifted) for row in plane])
 
     def _all_down(self, ax: float, ay: float) -> tuple[float, ...]:
@@ -190,8 +218,8 @@ class Grip:
 
     def _facets(self) -> list[Facet]:
         found: list[Facet] = []
-        lever = max(abs(row[2]) for row in self._rows) or 1.0
-        for one, two in combinations(self._rows, 2):
+        lever = max(abs(row[2]) for row in self.rows) or 1.0
+        for one, two in combinations(self.rows, 2):
             normal = _cross((one[0], one[1], one[2] / lever), (two[0], two[1], two[2] / lever))
             length = sqrt(dot(normal, normal))
             if length <= _IN_PLANE:
@@ -201,21 +229,25 @@ class Grip:
                 found.append(facet)
         return found
 
-    def _facet(self, normal: tuple[float, float, float]) -> Facet:
-        outside = [_outside(row, normal) for row in self._rows]
+    def _facet(self, normal: Three) -> Facet:
+        outside = [_outside(row, normal) for row in self.rows]
         within = tuple([index for index, part in enumerate(outside) if part == 0.0])
         load = shift_x = shift_y = 0.0
         for part, resting, (x, y) in zip(outside, self.resting, self.shifts, strict=True):
             load += abs(part) * resting
             shift_x += abs(part) * x
             shift_y += abs(part) * y
-        rows = [self._rows[index] for index in within]
-        rest = pseudo_inverse(transpose(tuple(rows))) if len(rows) == 2 else ()
+        rows = [self.rows[index] for index in within]
+        weights = [sqrt(self.resting[index]) for index in within]  # of least norm, the loaded ones push more
+        scaled = tuple([_times(weight, row) for weight, row in zip(weights, rows, strict=True)])
+        rest = tuple(
+            [_times(weight, (a, b, c)) for weight, (a, b, c) in zip(weights, pseudo_inverse(transpose(scaled)))]
+        )
         return Facet(normal, load, (shift_x, shift_y), tuple(map(_sign, outside)), within, rest)
 
 
-def part_of(limits: Sequence[tuple[float, float, float]], acceleration: Sequence[float]) -> float:
-    """Which part an acceleration is of the furthest in its direction that the floor gives; 1 at the limit."""
+def part_of(limits: Sequence[Three], acceleration: Sequence[float]) -> float:
+    """Which part an acceleration is of the furthest in its direction within these limits; 1 at the limit."""
     ax, ay, az = acceleration
     most = 0.0
     for x, y, z in limits:
@@ -224,8 +256,8 @@ def part_of(limits: Sequence[tuple[float, float, float]], acceleration: Sequence
     return most
 
 
-def room(limits: Sequence[tuple[float, float, float]], present: Sequence[float], further: Sequence[float]) -> float:
-    """How many times `further` the floor gives on top of an acceleration that is there already; inf for none."""
+def room(limits: Sequence[Three], present: Sequence[float], further: Sequence[float]) -> float:
+    """How many times `further` is within these limits on top of an acceleration that is there already; inf: ever."""
     px, py, pz = present
     fx, fy, fz = further
     least = inf
@@ -261,13 +293,13 @@ def _sign(number: float) -> float:
     return 1.0 if number > 0.0 else -1.0 if number < 0.0 else 0.0
 
 
-def _distinct(normals: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    found: list[tuple[float, float, float]] = []
-    for one in normals:
-        if all(max(abs(a - b) for a, b in zip(one, other, strict=True)) > _SAME for other in found):
-            found.append(one)
-    return found
+def _times(factor: float, vector: Three) -> Three:
+    return (factor * vector[0], factor * vector[1], factor * vector[2])
 
 
-def _cross(a: Vector, b: Vector) -> tuple[float, float, float]:
+def _plus(one: Three, two: Three) -> Three:
+    return (one[0] + two[0], one[1] + two[1], one[2] + two[2])
+
+
+def _cross(a: Vector, b: Vector) -> Three:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])

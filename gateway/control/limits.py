@@ -32,11 +32,26 @@ _UNROLLED: Final = len(PLANAR)  # most robots have no more axes, and loops over 
 _LINE_TOLERANCE: Final = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
 
 
+class Ground(Protocol):
+    """What the floor gives, where that is known."""
+
+    def turning(self, rates: Rates) -> float:
+        """As `turning_excess`, of what the floor gives instead of the acceleration limits."""
+        ...
+
+    def effort(self, rates: Rates, way: Rates, beside: Rates) -> float:
+        """The share (0..1] of the acceleration limits with which this setpoint may go this way.
+
+        `beside`: an acceleration that it has anyway, besides its w x v.
+        """
+        ...
+
+
 class Course(Protocol):
     """A way of its own from a setpoint to its target; keeps nothing."""
 
     def step(
-        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float
+        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None
     ) -> tuple[Rates, Rates, tuple[str, ...]]:
         """Setpoint and its rate after dt seconds, and the names of the limits at work."""
         ...
@@ -134,19 +149,22 @@ class TwistLimiter:
         self._rate = scaled(self._rate, factor)
 
     def step(
-        self, target: Rates, dt: float, *, effort: float = 1.0, headroom: float = 1.0
+        self, target: Rates, dt: float, *, effort: float = 1.0, headroom: float = 1.0, ground: Ground | None = None
     ) -> tuple[Rates, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
         `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
         is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
+        `ground` may give less than the limits say ("grip").
         """
         before = self.rates
         if self._course is not None:
-            after, self._rate, active = self._course.step(before, self._rate, target, dt=dt, effort=effort)
+            after, self._rate, active = self._course.step(
+                before, self._rate, target, dt=dt, effort=effort, ground=ground
+            )
             return self._held_back(before, after, headroom), active
-        wanted, active = self._holdable(target)
+        wanted, active = self._holdable(target, ground)
         if dt <= 0.0 or (wanted == before and self._rate == self._zero):
             return before, active
         aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
@@ -154,9 +172,10 @@ class TwistLimiter:
         if self._arrives(way, dt):
             after, self._rate = aim, scaled(way, 1.0 / dt)
         else:
-            self._turn_rate(way, dt, effort)
+            given = 1.0 if ground is None else ground.effort(before, way, self._zero)
+            self._turn_rate(way, dt, effort * given)
             after = scale_to(summed(before, self._rate, dt), self._velocity)
-            active = (*active, "acceleration")
+            active = (*active, "acceleration", "grip") if given < 1.0 else (*active, "acceleration")
         return self._held_back(before, after, headroom), active
 
     def _held_back(self, before: Rates, after: Rates, headroom: float) -> Rates:
@@ -203,11 +222,13 @@ class TwistLimiter:
             total += part * rate / limit
         return total
 
-    def _holdable(self, target: Rates) -> tuple[Rates, tuple[str, ...]]:
+    def _holdable(self, target: Rates, ground: Ground | None) -> tuple[Rates, tuple[str, ...]]:
         """The target within top speed and turning limit, and which of them shortened it."""
         wanted = scale_to(target, self._velocity)
         active: tuple[str, ...] = () if wanted is target else ("velocity",)
         turning = turning_excess(wanted, self._acceleration)
+        if ground is not None:
+            turning = max(turning, ground.turning(wanted))
         if turning <= 1.0:
             return wanted, active
         return scaled(wanted, 1.0 / sqrt(turning)), (*active, "turning")

@@ -18,6 +18,7 @@ from drivers.setpoint import CommandKind
 from gateway.arithmetic import angle_of, sin_cos
 from gateway.control.compensation import Compensation, PathRate, RegionAt, region_at, region_refusal
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
+from gateway.control.limits import Ground
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, flip_way, settled, turn_radius, wrapped
 from gateway.control.region_policy import RegionPolicy, Seen, still
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
@@ -141,6 +142,10 @@ class OffsetDifferentialLaw:
         if self._policy is None or (region is _ANY and self._policy.idle):
             return target
         return self._policy.aim(target, self._seen(measured, whole=whole), region=region, path_rate=path_rate)
+
+    def ground(self, *, whole: bool) -> Ground | None:
+        """It does not know."""
+        return None
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Commands for this setpoint."""

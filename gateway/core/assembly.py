@@ -10,6 +10,8 @@ from gateway.chassis.contract import LawParts
 from gateway.config import ConfigError, Motor, RobotConfig
 from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import DriveLaw
+from gateway.control.grip import GripError
+from gateway.control.launch import Pusher
 from gateway.control.limits import TwistLimiter
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission, Winding
@@ -54,16 +56,21 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     groups = _groups(config, motors, origin)
     able = _capabilities(groups)
     loops = _speed_loops(motors, able, origin)
+    joints = tuple(map(_with_loop, able, loops))
+    try:
+        law = config.robot.law(_law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops))))
+    except GripError as error:
+        raise ConfigError(origin, [f"robot.grip: {error}"]) from None
     return Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
         groups=groups,
         transmissions=tuple(map(_transmission, motors, able)),
         speed_loops=loops,
-        capabilities=tuple(map(_with_loop, able, loops)),
+        capabilities=joints,
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
-        law=config.robot.law(_law_parts(config, kinematics)),
+        law=law,
     )
 
 
@@ -97,7 +104,7 @@ def feedback_delay(config: RobotConfig) -> float:
     return max((1.0 / motor.feedback_rate for motor in config.motor if motor.feedback_rate), default=0.0)
 
 
-def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
+def _law_parts(config: RobotConfig, kinematics: Kinematics, pushers: tuple[Pusher, ...]) -> LawParts:
     names, limits = config.robot.motor_names(), config.limits
     accelerations = limits.motor_acceleration
     return LawParts(
@@ -109,7 +116,17 @@ def _law_parts(config: RobotConfig, kinematics: Kinematics) -> LawParts:
         jerk=limits.jerk.as_rates(kinematics.axes),
         period=1.0 / config.loop.rate,
         delay=feedback_delay(config),
+        pushers=pushers,
     )
+
+
+def _pusher(motor: Motor, joint: Capabilities, loop: SpeedLoop | None) -> Pusher:
+    """At the output. A voltage is for a motor whose speed control takes no torque besides."""
+    given = motor.winding
+    if given is None or not joint.voltage or joint.feed_forward:
+        return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None)
+    winding = Winding(given.resistance, given.back_emf * motor.gear_ratio)
+    return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None, winding=winding, supply=given.voltage)
 
 
 def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:

@@ -106,6 +106,7 @@ class Engine:
         self._kinematics = robot.kinematics
         self._law = robot.law
         self._selects = len(robot.law.features.regions) > 1  # commands may ask for a way round
+        self._grips = robot.law.features.grip
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source, robot.law.features)
         axes = robot.kinematics.axes
@@ -536,10 +537,13 @@ class Engine:
             if self._selects:
                 whole = self._mode is not _DEGRADED
                 aim = self._law.aim(aim, measured, region=region, path_rate=_path_rate(asked), whole=whole)
-            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom)
+            ground = self._law.ground(whole=all(health.usable)) if self._grips else None
+            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom, ground=ground)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
             self._brake(measured, health)
+            if self._grips:
+                self._law.ground(whole=all(health.obeying))
         else:
             self._limiter.reset()
         if self._mode is _ESTOP:

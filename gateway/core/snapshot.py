@@ -34,6 +34,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.engine.Engine": frozenset(
         {
             "_expected_speeds",
+            "_grips",
             "_kinematics",
             "_more",
             "_names",
@@ -72,6 +73,27 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.torque_loss._Missing": frozenset(),
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
+    ),
+    "gateway.control.launch_slip._Wheel": frozenset(),
+    "gateway.control.launch_slip.LaunchSlip": frozenset({"_grip", "_losses", "_radii", "_top_speeds"}),
+    "gateway.control.launch.LaunchLaw": frozenset(
+        {
+            "_acceleration",
+            "_curves",
+            "_features",
+            "_free",
+            "_given",
+            "_grip",
+            "_lifting",
+            "_losses",
+            "_pushers",
+            "_radii",
+            "_rest",
+            "_rows",
+            "_steps",
+            "_still",
+            "_top_speeds",
+        }
     ),
     "gateway.control.offset_law.OffsetDifferentialLaw": frozenset(
         {"_accelerations", "_features", "_flip", "_geometry", "_longest_period", "_period"}

@@ -46,6 +46,9 @@ class Balance:
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         return target
 
+    def ground(self, *, whole: bool) -> None:
+        return None
+
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         return Motion((JointCommand(CommandKind.TORQUE, DRIVEN),) * self._size)
 

@@ -74,6 +74,10 @@ def furthest(poses: Sequence[Pose], direction: Sequence[float], friction: float,
     return min(best, *lifting) if lifting else best
 
 
+def limits(one: Grip, friction: float) -> list[Three]:
+    return [*[cone.limit for cone in one.cones(friction)], *one.lifting()]
+
+
 directions = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-5, 5)).filter(lambda d: hypot(*d) > 0.1)
 
 
@@ -82,7 +86,7 @@ directions = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-5, 5)).fil
 @given(direction=directions, friction=st.sampled_from([0.1, 0.3, 0.8, 1.2]))
 def test_the_limits_are_those_of_the_linear_program(name: str, direction: Three, friction: float) -> None:
     poses = LAYOUTS[name]
-    part = part_of(grip(poses).limits(friction), direction)
+    part = part_of(limits(grip(poses), friction), direction)
     assert 1.0 / part == pytest.approx(furthest(poses, direction, friction), rel=1e-6)
 
 
@@ -94,7 +98,7 @@ def test_shared_forces_do_it_and_no_other_forces_use_less(
 ) -> None:
     poses = LAYOUTS[name]
     one = grip(poses)
-    factor = size / part_of(one.limits(friction), direction)
+    factor = size / part_of(limits(one, friction), direction)
     acceleration = [part * factor for part in direction]
     share = one.shared(acceleration, friction)
     matrix, loads = np.array(rows(poses)), np.array(one.loads(acceleration[0], acceleration[1]))
@@ -110,6 +114,28 @@ def test_shared_forces_do_it_and_no_other_forces_use_less(
         if np.linalg.norm(normal := np.cross(a, b)) > 1e-9
     )
     assert share.use == pytest.approx(dual, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+@settings(max_examples=40, deadline=None)
+@given(direction=directions, size=st.floats(0.05, 1.0), friction=st.sampled_from([0.1, 0.3, 0.8]))
+def test_in_proportion_every_wheel_still_grips(name: str, direction: Three, size: float, friction: float) -> None:
+    poses = LAYOUTS[name]
+    one = grip(poses)
+    cone = max(one.cones(friction), key=lambda cone: float(np.dot(cone.limit, direction)))
+    factor = 1.0 / max(float(np.dot(cone.limit, direction)), part_of(one.lifting(), direction))
+    furthest_of = np.array(direction) * factor
+    forces = np.array(cone.forces) @ furthest_of
+    wrench = np.array([MASS, MASS, INERTIA]) * furthest_of
+    assert np.array(rows(poses)).T @ forces == pytest.approx(wrench, abs=1e-7)
+    if name not in ("doubled", "row"):  # in a facet's plane with more than two wheels they only share by load
+        least = one.shared(tuple(furthest_of), friction)
+        at_slip = bool(np.dot(cone.limit, furthest_of) > 0.999999)
+        assert max(np.abs(forces) / (friction * np.array(one.loads(*furthest_of[:2])) + 1e-9)) <= 1.0 + 1e-6
+        if at_slip:
+            assert forces == pytest.approx(least.forces, abs=1e-6 * friction * WEIGHT)
+        loads = friction * np.array(one.loads(*(size * furthest_of[:2])))
+        assert np.all(size * np.abs(forces) <= loads + 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +186,7 @@ def test_equal_torques_give_away_up_to_four_tenths(
     """All four at their limit: mu g cos(30 deg) forward, mu g / 2 to the left (MuJoCo's 2.549 and 5.097)."""
     along = (cos(direction), sin(direction), 0.0)
     one, matrix = grip(OMNI4), np.array(rows(OMNI4))
-    best = 1.0 / part_of(one.limits(friction), along)
+    best = 1.0 / part_of(limits(one, friction), along)
     assert best == pytest.approx(most, abs=6e-4)
     forces = np.abs(np.linalg.pinv(matrix.T) @ (MASS * np.array(along)))
     slips = min(
@@ -193,9 +219,9 @@ def test_a_centre_outside_the_wheels_is_refused() -> None:
 
 
 def test_room_is_what_a_curve_leaves() -> None:
-    limits = grip(OMNI4, height=0.0).limits(0.6)
-    assert room(limits, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) == pytest.approx(5.097, abs=1e-3)
-    left = room(limits, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    assert part_of(limits, (left, 1.0, 0.0)) == pytest.approx(1.0)
-    assert room(limits, (0.0, 4.0, 0.0), (1.0, 0.0, 0.0)) == 0.0, "the curve alone is too much"
-    assert room(limits, (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)) == inf
+    given = limits(grip(OMNI4, height=0.0), 0.6)
+    assert room(given, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)) == pytest.approx(5.097, abs=1e-3)
+    left = room(given, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    assert part_of(given, (left, 1.0, 0.0)) == pytest.approx(1.0)
+    assert room(given, (0.0, 4.0, 0.0), (1.0, 0.0, 0.0)) == 0.0, "the curve alone is too much"
+    assert room(given, (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)) == inf

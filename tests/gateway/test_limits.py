@@ -222,7 +222,10 @@ def test_course(
 ) -> None:
     moving = limiter(TOP, ACCELERATION, jerk)
     moving.reset(start)
-    assert [moving.step(target, dt, **factors)[0] for _ in course] == [pytest.approx(one, abs=1e-9) for one in course]
+    assert [
+        moving.step(target, dt, effort=factors.get("effort", 1.0), headroom=factors.get("headroom", 1.0))[0]
+        for _ in course
+    ] == [pytest.approx(one, abs=1e-9) for one in course]
 
 
 BRAKES = {
