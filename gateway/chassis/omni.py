@@ -18,7 +18,7 @@ from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawPa
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.grip import Grip
-from gateway.control.launch import LaunchLaw
+from gateway.control.launch import LEAST_FRICTION, MOST_FRICTION, LaunchLaw
 from gateway.control.launch_slip import Losses
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix
@@ -62,7 +62,9 @@ class OmniWheel(Section):
 class GripConfig(Section):
     """What the floor gives a wheel: a launch accelerates as hard as that lets it, and no harder."""
 
-    friction: Annotated[float, Field(ge=0.05, le=2.0, description="of the rollers on the floor, times the load")]
+    friction: Annotated[
+        float, Field(ge=LEAST_FRICTION, le=MOST_FRICTION, description="of the rollers on the floor, times the load")
+    ]
 
 
 class OmniRobot(Section):
@@ -101,19 +103,24 @@ class OmniRobot(Section):
         body = self.body
         return LaunchLaw(
             speeds,
-            grip=Grip(
-                self.kinematics().rim_matrix,
-                [(wheel.x, wheel.y) for wheel in self.wheel],
-                mass=body.mass,
-                inertia=body.inertia,
-                height=body.centre_height or 0.0,
-            ),
+            grip=self.ground(),
             friction=self.grip.friction,
             radii=[wheel.radius for wheel in self.wheel],
             losses=Losses(body.joint_inertia, body.joint_friction, body.joint_drag),
             acceleration=parts.acceleration,
             top_speeds=parts.top_speeds,
             pushers=parts.pushers,
+        )
+
+    def ground(self) -> Grip:
+        """What the floor gives the wheels."""
+        body = self.body
+        return Grip(
+            self.kinematics().rim_matrix,
+            [(wheel.x, wheel.y) for wheel in self.wheel],
+            mass=body.mass,
+            inertia=body.inertia,
+            height=body.centre_height or 0.0,
         )
 
     def inertia(self, angles: Sequence[float]) -> Matrix:

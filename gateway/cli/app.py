@@ -29,6 +29,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "stop": "operate",
     "reference": "reference",
     "set": "setting",
+    "calibrate": "calibrate",
     "demo": "demo",
     "sim": "sim",
     "scenario": "scenario",

@@ -37,6 +37,10 @@ def run(
     plant: Annotated[
         PlantName | None, typer.Option(help="By what the simulated robot moves; simple unless told.")
     ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=10.0, help="Of the floor under the simulated wheels; they never slip unless told."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory for sessions instead of the robot file's.")] = None,
     state: Annotated[
         Path | None,
@@ -45,8 +49,9 @@ def run(
     endpoint: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on instead.")] = None,
 ) -> None:
     """Run the drive gateway of one robot until SIGTERM, or any other signal that would end it."""
-    if plant is not None and not simulate:
-        raise typer.BadParameter("belongs to --simulate", param_hint="--plant")
+    for name, value in (("--plant", plant), ("--friction", friction)):
+        if value is not None and not simulate:
+            raise typer.BadParameter("belongs to --simulate", param_hint=name)
     ending = EndRequest()
     ending.listen()
     log_queue.take_over(level=logging.INFO, layout="%(levelname)s %(name)s: %(message)s")
@@ -54,7 +59,7 @@ def run(
     path = robot_files.find(file)
     config, text = load(path)
     examine(config, str(path))
-    simulated = _simulated(config, plant or PlantName.SIMPLE, str(path)) if simulate else None
+    simulated = _simulated(config, plant or PlantName.SIMPLE, str(path), friction) if simulate else None
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()
     with ExitStack() as stack:
@@ -83,8 +88,11 @@ def run(
     raise typer.Exit(code)
 
 
-def _simulated(config: RobotConfig, plant: PlantName, origin: str) -> SimulatedRobot:
-    return SimulatedRobot(config, plant=chosen_plant(config, plant, origin))
+def _simulated(config: RobotConfig, plant: PlantName, origin: str, friction: float | None) -> SimulatedRobot:
+    robot = SimulatedRobot(config, plant=chosen_plant(config, plant, origin))
+    if friction is not None:
+        robot.set_floor(friction)
+    return robot
 
 
 def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | None) -> RobotConfig:

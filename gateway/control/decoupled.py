@@ -34,7 +34,7 @@ from gateway.control.wheel_limits import WheelLimits
 from gateway.types import Rates
 
 _WHOLE: Final = 1.0 - 1e-9  # a share that differs from all of it by rounding
-_NOTHING: Final = (0.0, 0.0, 0.0)
+_NOTHING: Rates = (0.0, 0.0, 0.0)
 
 
 class Saturation(Enum):

@@ -21,12 +21,12 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import dot
 from gateway.kinematics.linear import Matrix, Vector, pseudo_inverse, transpose
 
+Three = tuple[float, float, float]
 GRAVITY: Final = 9.81  # m/s^2
 _IN_PLANE: Final = 1e-9  # of a row's length: what stands out of a facet by less lies in it
 _PAIR: Final = 2
-_NONE: Final = (0.0, 0.0, 0.0)
-_UNITS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-Three = tuple[float, float, float]
+_NONE: Three = (0.0, 0.0, 0.0)
+_UNITS: tuple[Three, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class GripError(ValueError):

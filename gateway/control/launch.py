@@ -30,6 +30,8 @@ from gateway.control.transmission import Winding
 from gateway.kinematics.linear import pseudo_inverse, transpose
 from gateway.types import Event, Facts, Level, Rates, Region
 
+LEAST_FRICTION: Final = 0.05  # of the load, of rollers on a floor
+MOST_FRICTION: Final = 2.0
 FRICTION: Final = "friction"  # facts of the chassis in `state`: as it is taken to be ...
 LAUNCH: Final = "launch"  # ... and whether it is launched
 SLIPPED: Final = "launch_slipped"  # the event
@@ -40,12 +42,12 @@ _QUIET: Final = 0.01  # of the acceleration limits: less is no push
 _ACTIVE: Final = 0.05  # of them: more is a launch
 _JUMP: Final = 1.2  # of them: so fast the setpoint does not move, it was put elsewhere
 _SAME_WAY: Final = 1e-6  # of a direction
-_SAFE: Final = 0.95  # of what it gave
+SAFE: Final = 0.95  # of what it gave, that is asked of it from then on
 _FOLLOWING: Final = 0.05  # of top speed: wheels further from their setpoint do not follow their voltages
 HOLD_TIME: Final = 0.3  # s after a launch in which a wheel that is behind gets no more torque than it grips
 _BELOW: Final = 0.9  # of the torque that a wheel may have: with less, it is not held back
 _CAUGHT_UP: Final = 0.005  # of top speed, where no torque is told
-_NONE: Final = (0.0, 0.0, 0.0)
+_NONE: Three = (0.0, 0.0, 0.0)
 _VELOCITY: Final = CommandKind.VELOCITY
 _VOLTAGE: Final = CommandKind.VOLTAGE
 
@@ -132,12 +134,14 @@ class LaunchLaw:
 
     @property
     def settings(self) -> Mapping[str, float]:
-        """Nothing."""
-        return {}
+        """Friction, as it is taken to be."""
+        return {FRICTION: self.friction}
 
     def set(self, name: str, value: float) -> str | None:
-        """There is nothing to set."""
-        return self._speeds.set(name, value)
+        """Another friction; what was learned of the floor is forgotten."""
+        self._given = value
+        self._learn(value)
+        return None
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         """All of it."""
@@ -354,7 +358,7 @@ class LaunchLaw:
         given = self._slip.look(told, expected, measured, before)
         if given is None or before <= least:
             return ()
-        self._learn(max(least, _SAFE * given))
+        self._learn(max(least, SAFE * given))
         text = f"wheels slipped: friction is taken for {self.friction:.2f}, no longer {before:.2f}"
         return (Event(Level.WARNING, SLIPPED, text),)
 

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 from gateway.control.compensation import WHOLE_CIRCLE
 from gateway.control.drive_law import DriveLaw
+from gateway.control.launch import FRICTION, LEAST_FRICTION, MOST_FRICTION
 from gateway.types import SettingStatus
 
 
@@ -33,7 +34,11 @@ SPEED_OVERRIDE: Final = Setting("speed_override", "of limits.velocity", 0.05, 1.
 # Only where the robot file has [robot.compensation], which also says what they are at the start.
 COMPENSATION_GAIN: Final = Setting("compensation_gain", "(no unit)", 0.0, 4.0, None)
 COMPENSATION_REGION: Final = Setting("compensation_region", "rad", 0.01, WHOLE_CIRCLE, None)
-SETTINGS: Final = {setting.name: setting for setting in (SPEED_OVERRIDE, COMPENSATION_GAIN, COMPENSATION_REGION)}
+# Only where the robot file has [robot.grip], which also says what it is at the start.
+GROUND_FRICTION: Final = Setting(FRICTION, "of the load", LEAST_FRICTION, MOST_FRICTION, None)
+SETTINGS: Final = {
+    setting.name: setting for setting in (SPEED_OVERRIDE, COMPENSATION_GAIN, COMPENSATION_REGION, GROUND_FRICTION)
+}
 KNOWN: Final = f"must be one of {', '.join(SETTINGS)}"
 
 

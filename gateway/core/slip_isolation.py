@@ -35,7 +35,7 @@ GYRO_SCALE: Final = 0.01  # of a turn
 NEVER: Final = 1e9  # the misfit of a wheel that cannot be it
 
 # Of a twist: m/s^2, m/s^2, rad/s^2; a floor does not turn a body whose weight is in the middle.
-_FLOOR: Final = (SLOPE, SLOPE, 0.0)
+_FLOOR: Rates = (SLOPE, SLOPE, 0.0)
 
 Numbers = Sequence[float | None]
 

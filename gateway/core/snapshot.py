@@ -82,7 +82,6 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
             "_curves",
             "_features",
             "_free",
-            "_given",
             "_grip",
             "_lifting",
             "_losses",

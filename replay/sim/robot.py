@@ -158,6 +158,12 @@ class SimulatedRobot:
         """Coefficient of friction under the wheel of this motor; infinite: it does not slip."""
         self._plant.set_friction(self._places[motor], friction)
 
+    def set_floor(self, friction: float) -> None:
+        """The same under all wheels that can slip."""
+        for place in self._places.values():
+            if self._plant.can_slip(place):
+                self._plant.set_friction(place, friction)
+
     def add_twin(self, motor: str, angle: float) -> SimulatedDevice:
         """A second controller that was given the same id; its shaft stands still, so many rad away at the output."""
         place = self._places[motor]

@@ -1,0 +1,167 @@
+"""Finds how the floor grips: launches, harder each time, until wheels slip.
+
+How this works
+--------------
+The friction that the no-slip launch goes by (`gateway.control.launch`) is raised before each pair of launches, so they
+push a little harder: with more torque or, where motors are told voltages, from a voltage V0 a step higher (Rojas 2005,
+section 8). Once wheels slip, the law tells what the floor gave them: that is what a launch may count on. (Slip is seen
+only from some 15 % above, so the last friction that held would be too much.) Each pair goes out and back, so the robot
+ends about where it began. The first round along an axis looks for it in coarse steps, the others in fine steps from
+what the first found.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Final, NamedTuple
+
+from gateway.client import Client
+from gateway.commander import ANSWER_TIMEOUT_S, REST_TIMEOUT_S, objection, rest, start, stream
+from gateway.config import RobotConfig
+from gateway.control.launch import FRICTION, LEAST_FRICTION, MOST_FRICTION, SAFE
+from gateway.core.assembly import build
+
+FIRST: Final = 0.5  # of what the robot file says: where the first round along an axis begins
+COARSE: Final = 1.25  # from step to step, in the first round
+FINE: Final = 1.05  # in the others
+_SAME: Final = 1e-3  # of a friction
+DWELL: Final = 0.15  # s of the full push; slip is looked for every 0.04 s
+
+
+class CalibrationError(RuntimeError):
+    """Why nothing was found; the robot is at rest, or does not obey."""
+
+
+class Axis(Enum):
+    """Along which a pair of launches goes, out and back."""
+
+    X = "forward and back"
+    Y = "left and right"
+
+
+class Launch(NamedTuple):
+    """From rest to `speed` (m/s, below 0: back) for so many s, with as much as this friction bears."""
+
+    axis: Axis
+    friction: float
+    speed: float
+    seconds: float
+
+
+class Found(NamedTuple):
+    """Of a round: what the floor gave when the wheels slipped, of the load, and for how much it was taken then."""
+
+    axis: Axis
+    friction: float
+    taken_for: float
+
+
+class Plans:
+    """Which launch tells of a friction; by the robot's own law and limits."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        """Raises CalibrationError for a robot that is not launched by friction."""
+        self._law = build(config).law
+        if not self._law.features.grip:
+            raise CalibrationError("the robot file has no [robot.grip], which is what this finds the friction for")
+        self._limits = config.limits
+        self.first = max(LEAST_FRICTION, FIRST * self._law.settings[FRICTION])
+
+    def launch(self, axis: Axis, friction: float) -> Launch:
+        """Raises CalibrationError where another limit than the floor would be reached first."""
+        name = "vx" if axis is Axis.X else "vy"
+        top, limit, jerk = (getattr(limits, name) for limits in self._limits.axes().values())
+        self._law.set(FRICTION, friction)
+        way = (limit, 0.0, 0.0) if axis is Axis.X else (0.0, limit, 0.0)
+        ground = self._law.ground(whole=True)
+        share = 1.0 if ground is None else ground.effort((0.0, 0.0, 0.0), way, (0.0, 0.0, 0.0))
+        if share >= 1.0:
+            raise CalibrationError(
+                f"{axis.value}: with a friction of {friction:.2f} the wheels hold all of limits.acceleration.{name} = "
+                f"{limit:g} m/s^2: the floor never limits this robot, or that limit is too low to find out"
+            )
+        acceleration = share * limit
+        speed = acceleration * (acceleration / jerk + DWELL)
+        if speed > top:
+            raise CalibrationError(
+                f"{axis.value}: with a friction of {friction:.2f} the wheels hold, and to push harder for {DWELL:g} s "
+                f"takes {speed:.2f} m/s, more than limits.velocity.{name} = {top:g}: raise that, or limits.jerk.{name}"
+            )
+        return Launch(axis, friction, speed, 2.0 * acceleration / jerk + DWELL)
+
+    def furthest(self) -> float:
+        """M from where it begins, in the hardest launch that these limits allow."""
+        return max(self._furthest(axis) for axis in Axis)
+
+    def _furthest(self, axis: Axis) -> float:
+        friction, furthest = self.first, 0.0
+        try:
+            while friction <= MOST_FRICTION:
+                launch = self.launch(axis, friction)
+                furthest = max(furthest, launch.speed * launch.seconds)  # speeding up and slowing down, half of it each
+                friction *= COARSE
+        except CalibrationError:
+            return furthest
+        return furthest
+
+
+def find(
+    plans: Plans, drive: Callable[[Launch], float], rounds: int, told: Callable[[Found], None] = lambda _: None
+) -> list[Found]:
+    """What the floor gave in every round along both axes.
+
+    `drive` does a launch and says for which friction the robot takes the floor after it. Raises CalibrationError where
+    another limit than the floor's comes first.
+    """
+    found = []
+    for axis in Axis:
+        first = _round(plans, drive, axis, plans.first, COARSE)
+        begin = max(LEAST_FRICTION, first.friction)
+        for _ in range(rounds):
+            one = _round(plans, drive, axis, begin, FINE)
+            told(one)
+            found.append(one)
+    return found
+
+
+def _round(plans: Plans, drive: Callable[[Launch], float], axis: Axis, begin: float, ratio: float) -> Found:
+    friction = begin
+    while friction <= MOST_FRICTION:
+        out = plans.launch(axis, friction)
+        back = out._replace(speed=-out.speed)
+        left = min(drive(out), drive(back))  # both, whatever the first says: it goes home
+        if left < friction * (1.0 - _SAME):
+            return Found(axis, left / SAFE, friction)
+        friction *= ratio
+    raise CalibrationError(f"{axis.value}: nothing slipped, and more than a friction of {friction / ratio:.2f} is none")
+
+
+class Driver:
+    """Does the launches of a robot that runs, as a commander like any other; one thread."""
+
+    def __init__(self, client: Client, source: str) -> None:
+        self._client = client
+        self._source = source
+
+    def __call__(self, launch: Launch) -> float:
+        """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError."""
+        client, source = self._client, self._source
+        answer = client.set(FRICTION, launch.friction, ANSWER_TIMEOUT_S)
+        if not answer.ok:
+            raise CalibrationError(f"setting {FRICTION} = {launch.friction:.3f}: {answer.reason}")
+        if not start(client, source):
+            raise CalibrationError(f"does not start: {objection(client, source) or 'it drove too late'}")
+        vx, vy = (launch.speed, 0.0) if launch.axis is Axis.X else (0.0, launch.speed)
+        reason = stream(client, source, vx, vy, 0.0, seconds=launch.seconds)
+        if not rest(client, source):
+            raise CalibrationError(f"did not come to rest within {REST_TIMEOUT_S:g} s")
+        if reason is not None:
+            raise CalibrationError(reason)
+        return self._friction()
+
+    def _friction(self) -> float:
+        """As the robot takes it to be, after it came to rest."""
+        state = self._client.status(ANSWER_TIMEOUT_S)
+        friction = None if state is None else state.status.chassis.get(FRICTION)
+        if not isinstance(friction, float):
+            raise CalibrationError(f"the robot does not tell its {FRICTION}")
+        return friction

@@ -1,0 +1,103 @@
+"""Finding how the floor grips, by launches of the real engine on a floor that is known."""
+
+from collections.abc import Callable
+
+import pytest
+
+from gateway.calibration import Axis, CalibrationError, Found, Launch, Plans, find
+from gateway.config import parse
+from gateway.control.launch import FRICTION
+from gateway.types import ZERO_TWIST, Facts, Request, RequestKind, Twist
+from tests.gateway.test_launch import WHEELS, gripping
+from tests.world import World, robot_text
+
+STEP = 1.05  # from launch to launch
+LIMIT, GIVEN = 0.42, 0.36  # of a floor: what it bears, and what is told when it no longer does
+MARGIN = 0.97  # of what the floor gives, that a launch asks
+
+
+class Robot:
+    """A running omni4 on a floor of this friction, driven as the command drives it."""
+
+    def __init__(self, friction: float) -> None:
+        self.world = World("omni4", edit=gripping)
+        self.world.start()
+        for name in WHEELS:
+            self.world.bus.robot.set_friction(name, friction)
+        self.furthest = 0.0
+        self.launches: list[Launch] = []
+
+    def drive(self, launch: Launch) -> float:
+        self.launches.append(launch)
+        world, at = self.world, self.world.now_ns + self.world.period_ns
+        setting = Request(RequestKind.SET, 1, at, setting=FRICTION, value=launch.friction)
+        assert world.cycle(requests=[setting]).replies[0].ok
+        twist = Twist(launch.speed, 0.0, 0.0) if launch.axis is Axis.X else Twist(0.0, launch.speed, 0.0)
+        facts: Facts = {}
+        for wanted, seconds in ((twist, launch.seconds), (ZERO_TWIST, launch.seconds + 0.5)):
+            for _ in range(round(seconds * 1e9 / world.period_ns)):
+                outputs = world.cycle(commands=[world.command(wanted)])
+                facts = facts if outputs.status is None else outputs.status.chassis
+                pose = world.bus.robot.truth.pose
+                self.furthest = max(self.furthest, abs(pose.x), abs(pose.y))
+        friction = facts[FRICTION]
+        assert isinstance(friction, float)
+        return friction
+
+
+def plans(edit: Callable[[str], str] = gripping) -> Plans:
+    return Plans(parse(edit(robot_text("omni4")), "omni4"))
+
+
+def test_what_it_finds_is_what_the_floor_gives() -> None:
+    friction = 0.4
+    robot = Robot(friction)
+    found = find(plans(), robot.drive, rounds=1)
+    assert [one.axis for one in found] == [Axis.X, Axis.Y]
+    for one in found:
+        assert 0.9 * friction < one.friction < 1.01 * friction
+        assert friction / MARGIN < one.taken_for < 1.25 * friction / MARGIN
+    assert robot.furthest < plans().furthest()
+
+
+def test_a_round_goes_up_out_and_back_until_wheels_slip() -> None:
+    asked: list[Launch] = []
+
+    def drive(launch: Launch) -> float:
+        asked.append(launch)
+        return launch.friction if launch.friction <= LIMIT or launch.speed > 0.0 else GIVEN
+
+    told: list[Found] = []
+    found = find(plans(), drive, rounds=3, told=told.append)
+    assert found == told
+    assert len(found) == 6
+    for one in found:
+        assert one.friction == pytest.approx(GIVEN / 0.95)
+        assert LIMIT < one.taken_for <= LIMIT * STEP
+    for out, back in zip(asked[::2], asked[1::2], strict=True):
+        assert out.speed == -back.speed > 0.0
+        assert out[:2] == back[:2]
+
+
+def test_more_than_any_floor_is_not_looked_for() -> None:
+    eager = plans(
+        lambda text: gripping(text).replace("9.0", "90.0").replace("150.0", "9000.0").replace("vx = 2.0", "vx = 9.0")
+    )
+    with pytest.raises(CalibrationError, match=r"^forward and back: nothing slipped, and more than .* 1\.\d* is none$"):
+        find(eager, lambda launch: launch.friction, rounds=1)
+
+
+def words(edit: Callable[[str], str]) -> str:
+    with pytest.raises(CalibrationError) as caught:
+        find(plans(edit), lambda launch: launch.friction, rounds=1)
+    return str(caught.value)
+
+
+def test_another_limit_than_the_floor_is_named() -> None:
+    assert "no [robot.grip]" in words(lambda text: text)
+    slow = words(lambda text: gripping(text).replace("vx = 9.0", "vx = 2.0"))
+    assert slow.startswith("forward and back: with a friction of 0.")
+    assert "the wheels hold all of limits.acceleration.vx = 2 m/s^2" in slow
+    lame = words(lambda text: gripping(text).replace("jerk = { vx = 150.0", "jerk = { vx = 2.0"))
+    assert "more than limits.velocity.vx" in lame
+    assert "limits.jerk.vx" in lame
