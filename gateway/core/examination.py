@@ -103,7 +103,7 @@ def frame_time(item: Traffic, bus: Bus) -> float:
     if not item.fd:
         return frame_bits(item.length, extended=item.extended) / bus.bitrate
     nominal, fast = fd_frame_bits(item.length, extended=item.extended)
-    return nominal / bus.bitrate + fast / ((item.bit_rate_switch and bus.data_bitrate) or bus.bitrate)
+    return nominal / bus.bitrate + fast / (bus.fd_bitrate if item.bit_rate_switch else bus.bitrate)
 
 
 def examine(config: RobotConfig, origin: str) -> Examination:
