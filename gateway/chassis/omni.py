@@ -18,7 +18,7 @@ from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawPa
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
-from gateway.kinematics.linear import Matrix
+from gateway.kinematics.linear import Matrix, diagonal
 from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section
 from gateway.types import PLANAR, Rates
 
@@ -89,8 +89,7 @@ class OmniRobot(Section):
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """One rigid body."""
-        mass = self.body.mass
-        return (mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, self.body.inertia)
+        return diagonal(self.masses())
 
     def masses(self) -> Rates:
         """The whole body."""

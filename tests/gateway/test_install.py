@@ -71,6 +71,6 @@ def test_the_unit_for_plain_ip_gets_the_bit_rates_of_the_robot_file(tmp_path: Pa
     root = installed(tmp_path, bus, "ip")
     assert (root / "etc/drivegate/can/can0.conf").read_text(encoding="utf-8").splitlines() == lines
     unit = (root / "etc/systemd/system/drivegate-can@.service").read_text(encoding="utf-8")
-    # A variable on its own, without braces, is split into words: none where FD is empty (systemd.service, "Command lines").
+    # Without braces a variable is split into words, none where it is empty (systemd.service, "Command lines").
     assert "type can bitrate ${BITRATE} $FD restart-ms 100" in unit
     assert "\nEnvironment=FD=\nEnvironmentFile=" in unit
