@@ -105,7 +105,7 @@ put_robot() {
     fi
 }
 
-# "channel bitrate" of every SocketCAN bus of a robot file; fails with the reason if it is no valid one.
+# "channel bitrate", and on a bus of CAN FD "data bitrate", of every SocketCAN bus of a robot file; fails with the reason if it is no valid one.
 buses() {
     "$root/bin/python" -I - "$DESTDIR$CONFIG/$1.toml" <<'END'
 import sys
@@ -117,20 +117,20 @@ except ConfigError as error:
     sys.exit(str(error))
 for bus in config.bus:
     if bus.interface == "socketcan":
-        print(bus.channel, bus.bitrate)
+        print(bus.channel, bus.bitrate, *([bus.fd_bitrate] if bus.fd else []))
 END
 }
 
 device() { systemd-escape --path --suffix=device "/sys/subsystem/net/devices/$1"; }
 
-# bind ROBOT: its unit follows its CAN interfaces, which get their bit rate
+# bind ROBOT: its unit follows its CAN interfaces, which get their bit rates
 bind() {
     [ -f "$DESTDIR$CONFIG/$1.toml" ] || die "there is no robot file $CONFIG/$1.toml"
     buses "$1" >"$work/buses" || die "$CONFIG/$1.toml is no valid robot file"
     devices=
-    while read -r channel bitrate; do
+    while read -r channel bitrate data; do
         devices="$devices $(device "$channel")"
-        case $channel in vcan* | vxcan*) ;; *) set_up_can "$channel" "$bitrate" ;; esac
+        case $channel in vcan* | vxcan*) ;; *) set_up_can "$channel" "$bitrate" "$data" ;; esac
     done <"$work/buses"
     [ -n "$devices" ] || return 0
     {
@@ -141,16 +141,19 @@ bind() {
     put "$work/can.conf" "$UNITS/drivegate@$1.service.d/can.conf"
 }
 
+# set_up_can CHANNEL BITRATE DATA_BITRATE: the last is empty on a classic bus
 set_up_can() {
     case $can in
         networkd)
             for kind in network link; do
-                sed -e "s|@CHANNEL@|$1|g" -e "s|@BITRATE@|$2|g" "$here/80-can.$kind" >"$work/80-can.$kind"
+                sed -e "s|@CHANNEL@|$1|g" -e "s|@BITRATE@|$2|g" -e "s|@DATA_BITRATE@|$3|g" "$here/80-can.$kind" |
+                    if [ -n "$3" ]; then cat; else sed '/^FDMode=/d; /^DataBitRate=/d'; fi >"$work/80-can.$kind"
                 put "$work/80-can.$kind" "$NETWORKS/80-drivegate-$1.$kind"
             done
             ;;
         ip)
             echo "BITRATE=$2" >"$work/can"
+            [ -z "$3" ] || echo "FD=fd on dbitrate $3" >>"$work/can"
             put "$work/can" "$CONFIG/can/$1.conf"
             enable_unit "drivegate-can@$(systemd-escape "$1").service"
             ;;

@@ -190,6 +190,11 @@ class Bus(Section):
     fd: bool = False  # CAN FD frames pass too
     data_bitrate: Annotated[int, Field(ge=100_000, le=8_000_000)] | None = None  # of CAN FD with a bit rate switch
 
+    @property
+    def fd_bitrate(self) -> int:
+        """Of the data of a CAN FD frame with a bit rate switch."""
+        return self.data_bitrate or self.bitrate
+
     @model_validator(mode="after")
     def _faster_only_with_fd(self) -> Self:
         if self.data_bitrate is not None and not (self.fd and self.data_bitrate >= self.bitrate):

@@ -129,7 +129,11 @@ class Chassis(Protocol):
         ...
 
     def masses(self) -> Rates:
-        """What a motion along each axis moves: kg for an axis in m/s, kg m^2 for one in rad/s."""
+        """What a motion along each axis moves at least: kg for an axis in m/s, kg m^2 for one in rad/s.
+
+        `inertia` has in it what moves along below a joint, which hangs on the joint's angle; the checks of a robot file
+        judge by this, the lightest that the body can be.
+        """
         ...
 
     def inertia(self, angles: Sequence[float]) -> Matrix:

@@ -21,7 +21,7 @@ from gateway.control.grip import Grip
 from gateway.control.launch import LEAST_FRICTION, MOST_FRICTION, LaunchLaw
 from gateway.control.launch_slip import Losses
 from gateway.kinematics.fixed_wheels import FixedWheels
-from gateway.kinematics.linear import Matrix
+from gateway.kinematics.linear import Matrix, diagonal
 from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section
 from gateway.types import PLANAR, Rates
 
@@ -125,8 +125,7 @@ class OmniRobot(Section):
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """One rigid body."""
-        mass = self.body.mass
-        return (mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, self.body.inertia)
+        return diagonal(self.masses())
 
     def masses(self) -> Rates:
         """The whole body."""

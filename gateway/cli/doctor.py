@@ -101,7 +101,7 @@ def _robot(path: Path) -> Iterator[Finding]:
     active = unit is not None and unit.active == "active"
     for bus in config.bus:
         if bus.interface == "socketcan":
-            yield from judge.interface(bus.channel, bus.bitrate, _link(bus))
+            yield from judge.interface(bus, _link(bus))
     yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
     directory = SESSIONS / path.stem if path.parent == INSTALLED else Path(config.recording.directory)
     if config.recording.enabled:

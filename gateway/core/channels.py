@@ -79,9 +79,9 @@ SLIP: Final = "Slip residual [m/s]"
 CHANNELS: Final = (
     Channel("wheels", ("commanded.",), "rad/s", WHEELS, lambda trace: trace.wheel_setpoints, asked=True, owner=MOTOR),
     Channel("wheels", ("speed.",), "rad/s", WHEELS, lambda trace: trace.wheel_speeds, owner=MOTOR),
-    Channel("twist/target", ("_wanted",), "m/s, rad/s", VELOCITY, _targets, asked=True, owner=AXIS),
+    Channel("twist", ("_wanted",), "m/s, rad/s", VELOCITY, _targets, asked=True, owner=AXIS),
     Channel("twist/setpoint", ("_limited",), "m/s, rad/s", "", _setpoints, asked=True, owner=AXIS),
-    Channel("twist/measured", ("_measured",), "m/s, rad/s", VELOCITY, _measured, owner=AXIS),
+    Channel("twist", ("_measured",), "m/s, rad/s", VELOCITY, _measured, owner=AXIS),
     Channel("pose", ("x", "y", "theta"), "m, rad", "Pose [m, rad]", lambda trace: trace.pose),
     Channel("residual", ("residual",), "m/s", SLIP, lambda trace: (trace.residual,)),
     Channel("residual", ("residual.",), "m/s", SLIP, lambda trace: trace.residuals, owner=MOTOR),

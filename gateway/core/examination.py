@@ -11,7 +11,7 @@ from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build, feedback_delay
 from gateway.kinematics.forces import PushTable, force_coupling
-from gateway.kinematics.linear import Matrix, condition, decompose, product, pseudo_inverse, transpose
+from gateway.kinematics.linear import condition, decompose, diagonal, product, pseudo_inverse, transpose
 from gateway.types import Rates
 
 LOAD_WARNING: Final = 0.70
@@ -103,7 +103,7 @@ def frame_time(item: Traffic, bus: Bus) -> float:
     if not item.fd:
         return frame_bits(item.length, extended=item.extended) / bus.bitrate
     nominal, fast = fd_frame_bits(item.length, extended=item.extended)
-    return nominal / bus.bitrate + fast / ((item.bit_rate_switch and bus.data_bitrate) or bus.bitrate)
+    return nominal / bus.bitrate + fast / (bus.fd_bitrate if item.bit_rate_switch else bus.bitrate)
 
 
 def examine(config: RobotConfig, origin: str) -> Examination:
@@ -238,7 +238,7 @@ def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
     below its joint is left out.
     """
     body, limits = config.robot.body, config.limits.acceleration.as_rates(config.robot.AXES)
-    masses = _diagonal(config.robot.masses())
+    masses = diagonal(config.robot.masses())
     accelerations = tuple(itertools.product(*((-limit, limit) for limit in limits)))
     worst = ("", 0.0)
     for turn in _turns(robot):
@@ -250,12 +250,6 @@ def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
             share = (torque + body.joint_drag + body.joint_friction * motor.speed / 2.0) / motor.torque
             worst = max(worst, (name, share), key=lambda one: one[1])
     return worst
-
-
-def _diagonal(values: Rates) -> Matrix:
-    return tuple(
-        tuple(value if place == row else 0.0 for place in range(len(values))) for row, value in enumerate(values)
-    )
 
 
 def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:

@@ -11,7 +11,10 @@ class CanLink(NamedTuple):
     kind: str | None  # can, vcan, ...
     up: bool
     queue: int
+    mtu: int | None  # 16: frames of classic CAN only
     bitrate: int | None
+    fd: bool
+    data_bitrate: int | None  # of CAN FD
     restart_ms: int | None
     state: str | None  # of the controller: ERROR-ACTIVE, ERROR-WARNING, ERROR-PASSIVE, BUS-OFF, STOPPED
     errors: tuple[int, int] | None  # transmit and receive error counter
@@ -31,7 +34,9 @@ class _Counter(msgspec.Struct):
 class _Data(msgspec.Struct):
     state: str | None = None
     restart_ms: int = 0
+    ctrlmode: list[str] = []
     bittiming: _BitTiming = msgspec.field(default_factory=_BitTiming)
+    data_bittiming: _BitTiming = msgspec.field(default_factory=_BitTiming)
     berr_counter: _Counter | None = None
 
 
@@ -56,6 +61,7 @@ class _Statistics(msgspec.Struct):
 class _Link(msgspec.Struct):
     flags: list[str] = []
     txqlen: int = 0
+    mtu: int | None = None
     linkinfo: _Info = msgspec.field(default_factory=_Info)
     stats64: _Statistics = msgspec.field(default_factory=_Statistics)
 
@@ -74,7 +80,10 @@ def parse_link(text: str) -> CanLink | None:
         kind=info.info_kind,
         up="UP" in links[0].flags,
         queue=links[0].txqlen,
+        mtu=links[0].mtu,
         bitrate=data.bittiming.bitrate,
+        fd="FD" in data.ctrlmode,
+        data_bitrate=data.data_bittiming.bitrate,
         restart_ms=data.restart_ms if info.info_kind == "can" else None,
         state=data.state,
         errors=None if counter is None else (counter.tx, counter.rx),

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
+from gateway.config import Bus
 from gateway.core.joint_trust import UNKNOWN
 from gateway.edges.can_link import CanLink
 from gateway.types import Status
 
+CLASSIC_MTU, FD_MTU = 16, 72  # bytes of `struct can_frame` and `struct canfd_frame` (linux/can.h)
 MIN_QUEUE = 16  # frames; the service itself keeps at most about ten waiting
 PLAUSIBLE_WALL_S = 1_704_067_200.0  # 2024-01-01: an earlier clock was never set
 COARSEST_CLOCK_S = 1e-5
@@ -56,17 +58,17 @@ class RealTime(NamedTuple):
     may_lock: bool
 
 
-def interface(channel: str, bitrate: int, link: CanLink | None) -> list[Finding]:
-    """Presence, state, bit rate, queue and errors of the interface of one bus."""
-    subject = f"CAN {channel}"
+def interface(bus: Bus, link: CanLink | None) -> list[Finding]:
+    """Presence, state, bit rates, queue and errors of the interface of one bus."""
+    channel, subject = bus.channel, f"CAN {bus.channel}"
     if link is None:
         cure = "plug the adapter in and load its driver (`dmesg | grep -i can`), or correct [[bus]] channel"
         return [Finding(subject, Grade.PROBLEM, "there is no such interface", cure)]
     if not link.up:
-        rate = f" type can bitrate {bitrate} restart-ms 100" if link.kind == "can" else ""
+        rate = f" {_timing(bus)}" if link.kind == "can" else ""
         cure = f"install.sh sets it up for every boot; by hand: ip link set {channel} up{rate}"
         return [Finding(subject, Grade.PROBLEM, "the interface is down", cure)]
-    findings = [*_bit_timing(subject, channel, bitrate, link), *_controller(subject, channel, link)]
+    findings = [*_bit_timing(subject, bus, link), *_controller(subject, channel, link)]
     if link.queue < MIN_QUEUE:
         text = f"transmit queue of {link.queue} frames: commands may be dropped in a burst"
         findings.append(Finding(subject, Grade.NOTE, text, f"ip link set {channel} txqueuelen 64"))
@@ -188,19 +190,43 @@ def _stopped(name: str, unit: Unit) -> Finding:
     return Finding(name, Grade.PROBLEM, "enabled but not running", f"systemctl start {name}")
 
 
-def _bit_timing(subject: str, channel: str, bitrate: int, link: CanLink) -> list[Finding]:
+def _timing(bus: Bus) -> str:
+    """As `ip link set ... up` takes it."""
+    fd = f" fd on dbitrate {bus.fd_bitrate}" if bus.fd else ""
+    return f"type can bitrate {bus.bitrate}{fd} restart-ms 100"
+
+
+def _bit_timing(subject: str, bus: Bus, link: CanLink) -> list[Finding]:
+    down = f"ip link set {bus.channel} down"
     if link.kind != "can":
-        return []
-    findings = []
-    if link.bitrate != bitrate:
-        again = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bitrate} restart-ms 100"
-        findings.append(
-            Finding(subject, Grade.PROBLEM, f"bit rate {link.bitrate}, the robot file says {bitrate}", again)
+        return _virtual(subject, bus, link, down)
+    wrong = [
+        text
+        for differs, text in (
+            (link.bitrate != bus.bitrate, f"bit rate {link.bitrate}, the robot file says {bus.bitrate}"),
+            (bus.fd and not link.fd, "CAN FD is off, the robot file says fd = true"),
+            (
+                bus.fd and link.fd and link.data_bitrate != bus.fd_bitrate,
+                f"data bit rate {link.data_bitrate}, the robot file says {bus.fd_bitrate}",
+            ),
+            (not link.restart_ms, "no automatic restart after bus-off (restart-ms 0)"),
         )
-    if not link.restart_ms:
-        cure = f"ip link set {channel} down; ip link set {channel} up type can restart-ms 100"
-        findings.append(Finding(subject, Grade.PROBLEM, "no automatic restart after bus-off (restart-ms 0)", cure))
+        if differs
+    ]
+    again = f"{down}; ip link set {bus.channel} up {_timing(bus)}"
+    findings = [Finding(subject, Grade.PROBLEM, text, again) for text in wrong]
+    if link.fd and not bus.fd:
+        findings.append(Finding(subject, Grade.NOTE, "CAN FD is on, the robot file says fd = false", f"{again} fd off"))
     return findings
+
+
+def _virtual(subject: str, bus: Bus, link: CanLink, down: str) -> list[Finding]:
+    """One without a bit rate has its MTU: that of a classic frame does not let one of CAN FD pass."""
+    if not bus.fd or link.mtu != CLASSIC_MTU:
+        return []
+    text = f"MTU {CLASSIC_MTU} is for classic CAN only, the robot file says fd = true"
+    again = f"{down}; ip link set {bus.channel} mtu {FD_MTU} up"
+    return [Finding(subject, Grade.PROBLEM, text, again)]
 
 
 def _controller(subject: str, channel: str, link: CanLink) -> list[Finding]:
@@ -219,7 +245,8 @@ def _controller(subject: str, channel: str, link: CanLink) -> list[Finding]:
 def _words(link: CanLink) -> str:
     if link.kind != "can":
         return f"up ({link.kind or 'not a CAN device'})"
-    return f"up, {link.bitrate} bit/s, {link.state}, queue {link.queue}"
+    fd = f" (CAN FD, data {link.data_bitrate} bit/s)" if link.fd else ""
+    return f"up, {link.bitrate} bit/s{fd}, {link.state}, queue {link.queue}"
 
 
 def exit_code(findings: Sequence[Finding]) -> int:

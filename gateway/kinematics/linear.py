@@ -76,6 +76,12 @@ def condition(matrix: Matrix) -> float:
     return values[0] / values[-1] if values[-1] > 0.0 else inf
 
 
+def diagonal(values: Vector) -> Matrix:
+    """These on the diagonal, zeros beside it."""
+    places = range(len(values))
+    return tuple(tuple(value if place == row else 0.0 for place in places) for row, value in enumerate(values))
+
+
 def transpose(matrix: Matrix) -> Matrix:
     """Rows for columns."""
     return tuple(zip(*matrix, strict=True))

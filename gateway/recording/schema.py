@@ -310,7 +310,7 @@ STATUS_COLUMNS = {"json": Kind.TEXT}
 
 
 def status_row(status: Status) -> Row:
-    """The row of STATUS_COLUMNS."""
+    """The row of STATUS_COLUMNS, its numbers to six digits: what follows from the inputs is kept for people only."""
     named = status._asdict()  # plain JSON of a tuple would lose the names
     named["sources"] = [source._asdict() for source in status.sources]
     named["motors"] = [motor._asdict() for motor in status.motors]
@@ -318,4 +318,15 @@ def status_row(status: Status) -> Row:
     named["sensors"] = [sensor._asdict() for sensor in status.sensors]
     named["slip"] = None if status.slip is None else status.slip._asdict()
     named["settings"] = {setting.name: setting.value for setting in status.settings}  # their ranges never change
-    return (msgspec.json.encode(named).decode(),)
+    return (msgspec.json.encode(_shown(named)).decode(),)
+
+
+def _shown(value: object) -> object:
+    match value:
+        case float():
+            return float(f"{value:.6g}")
+        case dict():
+            return {name: _shown(one) for name, one in value.items()}
+        case tuple() | list():
+            return [_shown(one) for one in value]
+    return value

@@ -32,8 +32,8 @@ def _microseconds(plant: Plant) -> float:
     torques = [3.0, 5.0, -2.0, 1.0][: len(plant.angles)]
     least = float("inf")
     for _ in range(REPEATS):
-        begin = time.perf_counter_ns()
+        begin = time.process_time_ns()
         for _ in range(STEPS):
             plant.step(torques)
-        least = min(least, (time.perf_counter_ns() - begin) / STEPS / 1000.0)
+        least = min(least, (time.process_time_ns() - begin) / STEPS / 1000.0)
     return least

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from gateway.cli import doctor as command
 from gateway.cli.app import build
+from gateway.config import Bus
 from gateway.edges import host_checks as doctor
 from gateway.edges.can_link import CanLink, parse_link
 from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
@@ -24,6 +25,7 @@ CAN = json.dumps(
         {
             "ifname": "can0",
             "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],
+            "mtu": 16,
             "txqlen": 10,
             "linkinfo": {
                 "info_kind": "can",
@@ -39,9 +41,33 @@ CAN = json.dumps(
         }
     ]
 )
-VCAN = '[{"ifname":"vcan0","flags":["NOARP","UP","LOWER_UP"],"txqlen":1000,"linkinfo":{"info_kind":"vcan"}}]'
-GOOD = CanLink("can", up=True, queue=64, bitrate=1_000_000, restart_ms=100, state="ERROR-ACTIVE", errors=(0, 0),
-               bus_offs=0, dropped=0)  # fmt: skip
+FD = json.dumps(
+    [
+        {
+            "ifname": "can0",
+            "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],
+            "mtu": 72,
+            "txqlen": 64,
+            "linkinfo": {
+                "info_kind": "can",
+                "info_data": {
+                    "ctrlmode": ["FD", "TDC-AUTO"],
+                    "state": "ERROR-ACTIVE",
+                    "restart_ms": 100,
+                    "bittiming": {"bitrate": 1000000, "sample_point": "0.750"},
+                    "data_bittiming": {"bitrate": 5000000, "sample_point": "0.750"},
+                },
+            },
+        }
+    ]
+)
+VCAN = '[{"ifname":"vcan0","flags":["NOARP","UP","LOWER_UP"],"mtu":16,"txqlen":1000,"linkinfo":{"info_kind":"vcan"}}]'
+GOOD = CanLink("can", up=True, queue=64, mtu=16, bitrate=1_000_000, fd=False, data_bitrate=None, restart_ms=100,
+               state="ERROR-ACTIVE", errors=(0, 0), bus_offs=0, dropped=0)  # fmt: skip
+GOOD_FD = GOOD._replace(mtu=72, fd=True, data_bitrate=5_000_000)
+CLASSIC_BUS = Bus(name="a", interface="socketcan", channel="can0", bitrate=1_000_000)
+FD_BUS = CLASSIC_BUS.model_copy(update={"fd": True, "data_bitrate": 5_000_000})
+FD_UP = "ip link set can0 up type can bitrate 1000000 fd on dbitrate 5000000 restart-ms 100"
 ACTIVE = Unit("loaded", "active", "enabled", "idle, standing", "success", "0", "0", "0")
 
 
@@ -54,13 +80,19 @@ def test_a_link_is_read_from_ip() -> None:
         kind="can",
         up=True,
         queue=10,
+        mtu=16,
         bitrate=500_000,
+        fd=False,
+        data_bitrate=None,
         restart_ms=0,
         state="ERROR-PASSIVE",
         errors=(128, 3),
         bus_offs=2,
         dropped=7,
     )
+    fast = parse_link(FD)
+    assert fast is not None
+    assert (fast.mtu, fast.bitrate, fast.fd, fast.data_bitrate) == (72, 1_000_000, True, 5_000_000)
     virtual = parse_link(VCAN)
     assert virtual is not None
     assert (virtual.kind, virtual.up, virtual.queue, virtual.restart_ms) == ("vcan", True, 1000, None)
@@ -72,9 +104,12 @@ def test_anything_else_is_no_link(text: str) -> None:
 
 
 def test_a_good_interface_is_one_line() -> None:
-    (finding,) = doctor.interface("can0", 1_000_000, GOOD)
+    (finding,) = doctor.interface(CLASSIC_BUS, GOOD)
     assert finding.grade is Grade.OK
     assert finding.text == "up, 1000000 bit/s, ERROR-ACTIVE, queue 64"
+    (finding,) = doctor.interface(FD_BUS, parse_link(FD))
+    assert finding.grade is Grade.OK
+    assert finding.text == "up, 1000000 bit/s (CAN FD, data 5000000 bit/s), ERROR-ACTIVE, queue 64"
 
 
 @pytest.mark.parametrize(
@@ -92,15 +127,54 @@ def test_a_good_interface_is_one_line() -> None:
     ],
 )
 def test_what_is_wrong_with_an_interface(link: CanLink | None, text: str, grade: Grade) -> None:
-    (finding,) = doctor.interface("can0", 1_000_000, link)
+    (finding,) = doctor.interface(CLASSIC_BUS, link)
     assert text in finding.text
     assert finding.grade is grade
     assert finding.cure
 
 
+@pytest.mark.parametrize(
+    ("link", "text"),
+    [
+        (GOOD_FD._replace(up=False), "down"),
+        (GOOD, "CAN FD is off, the robot file says fd = true"),
+        (GOOD_FD._replace(data_bitrate=2_000_000), "data bit rate 2000000, the robot file says 5000000"),
+        (GOOD_FD._replace(bitrate=500_000), "bit rate 500000, the robot file says 1000000"),
+        (GOOD_FD._replace(restart_ms=0), "restart-ms 0"),
+    ],
+)
+def test_what_is_wrong_with_an_interface_of_can_fd(link: CanLink, text: str) -> None:
+    """Every cure sets up all of it: the kernel takes CAN FD with both bit rates only."""
+    (finding,) = doctor.interface(FD_BUS, link)
+    assert text in finding.text
+    assert finding.grade is Grade.PROBLEM
+    assert FD_UP in str(finding.cure)
+
+
+def test_without_a_data_bit_rate_the_data_are_as_fast_as_the_rest() -> None:
+    bus = CLASSIC_BUS.model_copy(update={"fd": True})
+    (finding,) = doctor.interface(bus, GOOD_FD)
+    assert finding.text == "data bit rate 5000000, the robot file says 1000000"
+    assert "bitrate 1000000 fd on dbitrate 1000000" in str(finding.cure)
+    assert doctor.interface(bus, GOOD_FD._replace(data_bitrate=1_000_000))[0].grade is Grade.OK
+
+
+def test_can_fd_on_a_classic_bus_is_worth_a_note() -> None:
+    (finding,) = doctor.interface(CLASSIC_BUS, GOOD_FD)
+    assert finding.grade is Grade.NOTE
+    assert finding.text == "CAN FD is on, the robot file says fd = false"
+    assert str(finding.cure).endswith("type can bitrate 1000000 restart-ms 100 fd off")
+
+
 def test_a_virtual_interface_has_no_bit_rate() -> None:
-    (finding,) = doctor.interface("vcan0", 1_000_000, parse_link(VCAN))
+    link = parse_link(VCAN)
+    assert link is not None
+    (finding,) = doctor.interface(CLASSIC_BUS, link)
     assert finding.grade is Grade.OK
+    (finding,) = doctor.interface(FD_BUS, link)
+    assert finding.text == "MTU 16 is for classic CAN only, the robot file says fd = true"
+    assert finding.cure == "ip link set can0 down; ip link set can0 mtu 72 up"
+    assert doctor.interface(FD_BUS, link._replace(mtu=72))[0].grade is Grade.OK
 
 
 def test_the_running_service_counts_more_than_permissions() -> None:

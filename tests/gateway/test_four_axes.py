@@ -24,7 +24,7 @@ from gateway.core.channels import layout_of
 from gateway.core.engine import Engine
 from gateway.core.examination import examine
 from gateway.kinematics.fixed_wheels import FixedWheels
-from gateway.kinematics.linear import Matrix
+from gateway.kinematics.linear import Matrix, diagonal
 from gateway.sections import Body, Length, Name, Section
 from gateway.types import PLANAR, ZERO_TWIST, Inputs, Mode, Rates, RequestKind
 from tests.gateway.test_engine_rules import FORWARD, Stand
@@ -69,8 +69,7 @@ class FourAxes(Section):
         return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
-        masses = self.masses()
-        return tuple(tuple(mass if row == at else 0.0 for at in range(4)) for row, mass in enumerate(masses))
+        return diagonal(self.masses())
 
     def masses(self) -> Rates:
         return (self.body.mass, self.body.mass, self.body.inertia, self.body.mass / 4.0)

@@ -1,5 +1,6 @@
 """What is drawn is where the robot is."""
 
+import json
 from math import atan2, pi
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from rerun.chunk import RrdReader
 from gateway.recording.packets import Record
 from gateway.recording.shapes import CHASSIS_PATH
 from gateway.recording.writer import SessionWriter
+from gateway.types import Twist
 from tests.drives import drive
 from tests.recordings import PLENTY, hello, robot, write_drive, writer
 from tests.world import World
@@ -77,3 +79,21 @@ def test_can_is_shown_in_words_twice_a_second(tmp_path: Path) -> None:
     sent = [text for cells in rows(folder, "/trace/can/out", "TextLog:text").values() for (text,) in cells]
     assert 3 <= len(sent) <= 4
     assert all(line.startswith("command front_left.current_raw_1=") for line in sent)
+
+
+def test_plotted_numbers_and_the_status_have_six_digits(tmp_path: Path) -> None:
+    world = World("moby")
+    world.start()
+    world.run(1.0, Twist(0.3, 0.1, 0.2))
+    folder = write_drive(tmp_path, world)
+    last = max(plotted := rows(folder, "/trace/pose", "Scalars:scalars"))
+    (shown,) = plotted[last]
+    exact = next(outputs.trace.pose for inputs, outputs in world.records if inputs.cycle == last)
+    assert shown == pytest.approx(exact, rel=1e-6)
+    assert shown != list(exact)
+    told = rows(folder, "/outputs/status", "Status:json")
+    status = next(outputs.status for inputs, outputs in world.records if inputs.cycle == max(told))
+    commanded = None if status is None else status.motors[0].commanded
+    assert commanded is not None
+    ((text,),) = told[max(told)]
+    assert json.loads(text)["motors"][0]["commanded"] == float(f"{commanded:.6g}") != commanded
