@@ -4,10 +4,10 @@ How this works
 --------------
 The friction that the no-slip launch goes by (`gateway.control.launch`) is raised before each pair of launches, so they
 push a little harder: with more torque or, where motors are told voltages, from a voltage V0 a step higher (Rojas 2005,
-section 8). Once wheels slip, the law tells what the floor gave them: that is what a launch may count on. (Slip is seen
-only from some 15 % above, so the last friction that held would be too much.) Each pair goes out and back, so the robot
-ends about where it began. The first round along an axis looks for it in coarse steps, the others in fine steps from
-what the first found.
+section 8). Once wheels slip, and in one pair harder still, the law tells what the floor gave them: that is what a
+launch may count on. (Slip is seen only from some 20 % above, so the last friction that held would be too much.) Each
+pair goes out and back, so the robot ends about where it began. The first round along an axis looks for it in coarse
+steps, the others in fine steps from what the first found.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,17 @@ from gateway.core.assembly import build
 FIRST: Final = 0.5  # of what the robot file says: where the first round along an axis begins
 COARSE: Final = 1.25  # from step to step, in the first round
 FINE: Final = 1.05  # in the others
+HARDER: Final = 1.15  # than where wheels began to slip: what the floor gives is told there
 _SAME: Final = 1e-3  # of a friction
 DWELL: Final = 0.15  # s of the full push; slip is looked for every 0.04 s
 
 
 class CalibrationError(RuntimeError):
     """Why nothing was found; the robot is at rest, or does not obey."""
+
+
+class LimitError(CalibrationError):
+    """Another limit than the floor's would be reached first."""
 
 
 class Axis(Enum):
@@ -67,26 +72,35 @@ class Plans:
         self.first = max(LEAST_FRICTION, FIRST * self._law.settings[FRICTION])
 
     def launch(self, axis: Axis, friction: float) -> Launch:
-        """Raises CalibrationError where another limit than the floor would be reached first."""
+        """Raises LimitError."""
         name = "vx" if axis is Axis.X else "vy"
         top, limit, jerk = (getattr(limits, name) for limits in self._limits.axes().values())
-        self._law.set(FRICTION, friction)
-        way = (limit, 0.0, 0.0) if axis is Axis.X else (0.0, limit, 0.0)
-        ground = self._law.ground(whole=True)
-        share = 1.0 if ground is None else ground.effort((0.0, 0.0, 0.0), way, (0.0, 0.0, 0.0))
+        share = self._share(axis, friction, limit)
         if share >= 1.0:
-            raise CalibrationError(
+            raise LimitError(
                 f"{axis.value}: with a friction of {friction:.2f} the wheels hold all of limits.acceleration.{name} = "
                 f"{limit:g} m/s^2: the floor never limits this robot, or that limit is too low to find out"
+            )
+        if self._share(axis, friction * COARSE, limit) <= share:
+            raise LimitError(
+                f"{axis.value}: with a friction of {friction:.2f} the wheels hold all that the motors give "
+                f"({share * limit:.2f} m/s^2): the floor never limits this robot"
             )
         acceleration = share * limit
         speed = acceleration * (acceleration / jerk + DWELL)
         if speed > top:
-            raise CalibrationError(
+            raise LimitError(
                 f"{axis.value}: with a friction of {friction:.2f} the wheels hold, and to push harder for {DWELL:g} s "
                 f"takes {speed:.2f} m/s, more than limits.velocity.{name} = {top:g}: raise that, or limits.jerk.{name}"
             )
         return Launch(axis, friction, speed, 2.0 * acceleration / jerk + DWELL)
+
+    def _share(self, axis: Axis, friction: float, limit: float) -> float:
+        """Of an acceleration limit along the axis, that the floor and the motors bear."""
+        self._law.set(FRICTION, friction)
+        way = (limit, 0.0, 0.0) if axis is Axis.X else (0.0, limit, 0.0)
+        ground = self._law.ground(whole=True)
+        return 1.0 if ground is None else ground.effort((0.0, 0.0, 0.0), way, (0.0, 0.0, 0.0))
 
     def furthest(self) -> float:
         """M from where it begins, in the hardest launch that these limits allow."""
@@ -99,7 +113,7 @@ class Plans:
                 launch = self.launch(axis, friction)
                 furthest = max(furthest, launch.speed * launch.seconds)  # speeding up and slowing down, half of it each
                 friction *= COARSE
-        except CalibrationError:
+        except LimitError:
             return furthest
         return furthest
 
@@ -126,13 +140,25 @@ def find(
 def _round(plans: Plans, drive: Callable[[Launch], float], axis: Axis, begin: float, ratio: float) -> Found:
     friction = begin
     while friction <= MOST_FRICTION:
-        out = plans.launch(axis, friction)
-        back = out._replace(speed=-out.speed)
-        left = min(drive(out), drive(back))  # both, whatever the first says: it goes home
-        if left < friction * (1.0 - _SAME):
-            return Found(axis, left / SAFE, friction)
+        given = _pair(plans.launch(axis, friction), drive)
+        if given:
+            return Found(axis, max([*given, *_harder(plans, drive, axis, friction * HARDER)]), friction)
         friction *= ratio
     raise CalibrationError(f"{axis.value}: nothing slipped, and more than a friction of {friction / ratio:.2f} is none")
+
+
+def _harder(plans: Plans, drive: Callable[[Launch], float], axis: Axis, friction: float) -> list[float]:
+    """What the floor gives wheels that slip from the start on, which tells it better; nothing where limits forbid."""
+    try:
+        return _pair(plans.launch(axis, friction), drive)
+    except LimitError:
+        return []
+
+
+def _pair(out: Launch, drive: Callable[[Launch], float]) -> list[float]:
+    """Out and back, whatever the first says: what the floor gave where wheels slipped."""
+    left = [drive(out), drive(out._replace(speed=-out.speed))]
+    return [one / SAFE for one in left if one < out.friction * (1.0 - _SAME)]
 
 
 class Driver:

@@ -17,7 +17,7 @@ from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
-from gateway.control.grip import Grip
+from gateway.control.grip import Grip, Push
 from gateway.control.launch import LEAST_FRICTION, MOST_FRICTION, LaunchLaw
 from gateway.control.launch_slip import Losses
 from gateway.kinematics.fixed_wheels import FixedWheels
@@ -101,19 +101,25 @@ class OmniRobot(Section):
         if self.grip is None:
             return speeds
         body = self.body
+        losses = Losses(body.joint_inertia, body.joint_friction, body.joint_drag)
         return LaunchLaw(
             speeds,
-            grip=self.ground(),
+            grip=self.ground(
+                [
+                    losses.push(pusher.torque, wheel.radius)
+                    for pusher, wheel in zip(parts.pushers, self.wheel, strict=True)
+                ]
+            ),
             friction=self.grip.friction,
             radii=[wheel.radius for wheel in self.wheel],
-            losses=Losses(body.joint_inertia, body.joint_friction, body.joint_drag),
+            losses=losses,
             acceleration=parts.acceleration,
             top_speeds=parts.top_speeds,
             pushers=parts.pushers,
         )
 
-    def ground(self) -> Grip:
-        """What the floor gives the wheels."""
+    def ground(self, pushes: Sequence[Push] = ()) -> Grip:
+        """What the floor gives the wheels; `pushes`: what their motors have for it, empty: more than that."""
         body = self.body
         return Grip(
             self.kinematics().rim_matrix,
@@ -121,6 +127,7 @@ class OmniRobot(Section):
             mass=body.mass,
             inertia=body.inertia,
             height=body.centre_height or 0.0,
+            pushes=pushes,
         )
 
     def inertia(self, angles: Sequence[float]) -> Matrix:

@@ -12,7 +12,7 @@ import pytest
 
 from gateway.config import parse
 from tests.e2e.robot_process import RobotProcess, standing
-from tests.gateway.test_launch import gripping
+from tests.gateway.test_calibration import gripping
 from tests.world import robot_text
 
 FLOOR = 0.5
