@@ -562,7 +562,8 @@ class Engine:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
         if self._followed(health):
             self._take_up(measured, health)
-            self._limiter.brake(measured.dt)
+            effort = self._abilities.braking(health, measured, self._limiter.rates)
+            self._limiter.brake(measured.dt, effort=effort)
         else:
             self._unheard = True
         if measured.estimate is not None:
