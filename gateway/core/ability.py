@@ -25,6 +25,7 @@ from gateway.kinematics.reachable import JointUse, Reachable, effort, effort_alo
 from gateway.types import PLANAR, AbilityStatus, Rates, Twist
 
 LIMP: Final = "limp"
+LEAST_BRAKING: Final = 0.35  # of the acceleration limits: a stop takes at most three times as long
 _HELD: Final = "held"
 
 
@@ -81,7 +82,7 @@ class Abilities:
         return self._limping(usable, angles)
 
     def braking(self, health: Health, measured: Measured, rates: Rates) -> float:
-        """Share of the acceleration limits by which the motors that still obey can brake this motion, 0 to 1.
+        """Share of the acceleration limits by which the motors that still obey can brake this motion, to 1.
 
         1 where that cannot be told, or where none of it can be braked: then the setpoint of wheels leads nobody.
         """
@@ -94,7 +95,7 @@ class Abilities:
         uses = self._uses(health.obeying)
         momentum = [dot(row, rates) for row in inertia]
         share = effort_along(rows, uses, self._torques, reachable(rows, uses, inertia), momentum)
-        return 1.0 if share is None else share
+        return 1.0 if share is None else max(LEAST_BRAKING, share)
 
     def describe(self, ability: Ability | None, usable: Sequence[bool]) -> AbilityStatus:
         """For `state`: the furthest twists along each way that is left, the ways that are not, and how hard it pushes.

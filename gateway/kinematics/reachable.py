@@ -94,7 +94,7 @@ def effort_along(
         return None
     least = sqrt(square) / MAX_CONDITION
     left, whole = _reach(usable, _facets(usable, every), way, least), _reach(every, _facets(every, every), way, least)
-    return min(1.0, left / whole)
+    return min(1.0, left / whole) if whole > 0.0 else None
 
 
 def _pushes(
@@ -117,9 +117,9 @@ def _facets(vectors: Sequence[Vector], every: Sequence[Vector]) -> list[Vector]:
 
 
 def _reach(vectors: Sequence[Vector], normals: Sequence[Vector], way: Vector | list[float], least: float) -> float:
-    """The largest multiple of the way that lies in what these vectors span."""
+    """The largest multiple of the way that lies in what these vectors span; 0 where no facet is seen along it."""
     rates = [(abs(dot(normal, way)), normal) for normal in normals]
-    return min(_extent(vectors, normal) / rate for rate, normal in rates if rate > least)
+    return min([_extent(vectors, normal) / rate for rate, normal in rates if rate > least], default=0.0)
 
 
 def _extent(vectors: Sequence[Vector], normal: Vector) -> float:
