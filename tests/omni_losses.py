@@ -1,6 +1,14 @@
 """A motor of an omni robot that dies at full speed: in each direction, each motor, each way of dying; in virtual time.
 
 What is told of each drive is the truth of the simulated world, and of the commands what the core says it sent.
+Bounds are what the dead wheel can do:
+- seen: silence counts from 50 ms on; a position that stands for three samples; a lost torque once its memory is full of
+  it (0.2 s, as measured: at most 0.188 s);
+- spin: at worst a frozen wheel is driven with all of 4.5 N m for 20 ms, 2.6 rad/s per rad/s of turning, 1.03 kg m^2:
+  0.23 rad/s (measured 0.11); else 1.2 N m, twice a wheel's friction at full speed, that the speed loops of the other
+  three (each 3.5 N m s/rad) hold against: 0.045 rad/s and their overshoot (measured 0.053);
+- the turn that is left is not taken back, nobody measures it against the floor: 0.1 rad/s for 0.4 s, 2 degrees
+  (measured 1.2), and 2 m/s for 2 s along it: 0.14 m (measured 0.076).
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,7 +51,47 @@ class Found(NamedTuple):
     spin: float  # rad/s of turning that nobody asked for
     turned: float  # degrees, by that
     slowest: float  # of the speed before: what is left of it at worst
+    asked: bool  # whether its wheel is to turn: of one that is to stand, motor and encoder are not missed
     step: float  # of a wheel command from cycle to cycle, in units of what the acceleration limits ask of that wheel
+
+
+class Bounds(NamedTuple):
+    """What of `Found` may be at most; `slowest` at least."""
+
+    seconds: float
+    spin: float
+    heading: float = 2.0
+    turned: float = 2.0
+    offset: float = 0.14
+    slowest: float = 0.95
+    step: float = 1.0 + 1e-6
+
+
+BOUNDS = {
+    "omni4": {
+        "power_off": Bounds(0.056, 0.1),
+        "cable_out": Bounds(0.056, 0.1),
+        "encoder_frozen": Bounds(0.02, 0.23),
+        "torque_lost": Bounds(0.25, 0.1),
+    },
+    # Released it drags with 0.06 N m per rad/s, which the other three at speed have not got to spare: what it then does
+    # is told and held to nothing. A motor whose torque is lost drags nothing.
+    "omni4_gm6020": {"torque_lost": Bounds(0.25, 0.1, heading=4.0, turned=4.0)},
+}
+
+
+def missed(found: Found, bounds: Bounds) -> list[str]:
+    """What is not as it has to be."""
+    most = [name for name in Bounds._fields if name != "slowest"]
+    beyond = [name for name in most if not (getattr(found, name) or 0.0) <= getattr(bounds, name)]
+    seen = found.seconds is not None
+    wrong = {
+        "not seen": not seen and found.asked,
+        "slowest": found.slowest < bounds.slowest,
+        "mode": found.mode is not (Mode.DEGRADED if seen else Mode.DRIVE),
+        "blamed": found.blamed != ((found.death.motor,) if seen else ()),
+    }
+    return beyond + [name for name, so in wrong.items() if so]
 
 
 def deaths(config: RobotConfig) -> Iterator[Death]:
@@ -106,6 +154,7 @@ def measured(config: RobotConfig, death: Death, moments: Sequence[Moment]) -> Fo
         spin=max(abs(one.truth.twist.wz) - abs(asked) for one in watched),
         turned=0.0 if asked else degrees(max(abs(one.truth.pose.theta - start.theta) for one in watched)),
         slowest=min(one.speed for one in watched) / watched[0].speed,
+        asked=abs(watched[0].outputs.trace.wheel_setpoints[config.robot.motor_names().index(death.motor)] or 0.0) > 0.1,
         step=worst_step(config, after),
     )
 

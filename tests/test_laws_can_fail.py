@@ -53,7 +53,7 @@ def fault(t: float, kind: str, **more: object) -> Entry:
 
 def brake_along_the_line(patch: Patch) -> None:
     """Braking walks to zero as driving would: with the rate it had, which may lead elsewhere."""
-    patch.setattr(TwistLimiter, "brake", lambda self, dt: self.step(ZERO_TWIST, dt)[0])
+    patch.setattr(TwistLimiter, "brake", lambda self, dt, effort=1.0: self.step(ZERO_TWIST, dt, effort=effort)[0])
 
 
 # what is let go stays so until IDLE
@@ -129,7 +129,7 @@ def believe_every_angle(patch: Patch) -> None:
 def stop_at_once(patch: Patch) -> None:
     """Without limits the setpoint is zero at once."""
 
-    def brake(self: TwistLimiter, dt: float) -> Twist:
+    def brake(self: TwistLimiter, dt: float, *, effort: float = 1.0) -> Twist:
         self.reset()
         return ZERO_TWIST
 
@@ -227,7 +227,7 @@ def never_quiet(patch: Patch) -> None:
 def brake_at_a_third(patch: Patch) -> None:
     """The way to rest takes three times as long."""
     brake = TwistLimiter.brake
-    patch.setattr(TwistLimiter, "brake", lambda self, dt: brake(self, dt / 3.0))
+    patch.setattr(TwistLimiter, "brake", lambda self, dt, effort=1.0: brake(self, dt / 3.0, effort=effort))
 
 
 def never_rested(patch: Patch) -> None:

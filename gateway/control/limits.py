@@ -190,10 +190,10 @@ class TwistLimiter:
         self._rate = tuple([rate * share for rate, share in zip(self._rate, shares, strict=True)])
         return tuple([old + share * (new - old) for old, new, share in zip(before, after, shares, strict=True)])
 
-    def brake(self, dt: float) -> Rates:
+    def brake(self, dt: float, *, effort: float = 1.0) -> Rates:
         """Setpoint after dt seconds on its way to rest along its own direction: no axis ever grows.
 
-        A rate that led elsewhere is dropped at once; what it had of slowing down is kept.
+        A rate that led elsewhere is dropped at once; what it had of slowing down is kept. `effort` as for `step`.
         """
         along = tuple([value / limit for value, limit in zip(self.rates, self._acceleration, strict=True)])
         square = dot(along, along)
@@ -207,7 +207,7 @@ class TwistLimiter:
         if self._arrives(way, dt):
             self.reset()
             return self.rates
-        self._turn_rate(way, dt, effort=1.0)
+        self._turn_rate(way, dt, effort)
         left = 1.0 + dt * self._rate_along(along) / square
         if left <= 0.0:
             self.reset()

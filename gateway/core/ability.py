@@ -2,7 +2,8 @@
 
 How this works
 --------------
-With all motors, or with enough of the others to reach every direction, nothing changes but how hard it may accelerate.
+With all motors, or with enough of the others to reach every direction, nothing changes but how hard it may accelerate,
+and brake: by what is left in the worst direction, and along the way that is to be braked.
 Where directions are lost the robot file decides, by what was lost: `stop` (a fault) or `limp`: what is commanded is
 replaced by the nearest motion that is left (`gateway.kinematics.reachable`), at a share of top speed. A robot that no
 longer sees how it moves, or whose geometry depends on an angle it does not know, cannot limp.
@@ -20,10 +21,11 @@ from gateway.core.health import Health
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.forces import PushTable
 from gateway.kinematics.linear import Matrix, Vector
-from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
+from gateway.kinematics.reachable import JointUse, Reachable, effort, effort_along, reachable
 from gateway.types import PLANAR, AbilityStatus, Rates, Twist
 
 LIMP: Final = "limp"
+LEAST_BRAKING: Final = 0.35  # of the acceleration limits: a stop takes at most three times as long
 _HELD: Final = "held"
 
 
@@ -79,6 +81,22 @@ class Abilities:
             return None
         return self._limping(usable, angles)
 
+    def braking(self, health: Health, measured: Measured, rates: Rates) -> float:
+        """Share of the acceleration limits by which the motors that still obey can brake this motion, to 1.
+
+        1 where that cannot be told, or where none of it can be braked: then the setpoint of wheels leads nobody.
+        """
+        if all(health.obeying):
+            return 1.0
+        angles = self._angles(health, measured)
+        if angles is None or not any(rates):
+            return 1.0
+        rows, inertia = self._kinematics.matrix(angles), self._chassis.inertia(angles)
+        uses = self._uses(health.obeying)
+        momentum = [dot(row, rates) for row in inertia]
+        share = effort_along(rows, uses, self._torques, reachable(rows, uses, inertia), momentum)
+        return 1.0 if share is None else max(LEAST_BRAKING, share)
+
     def describe(self, ability: Ability | None, usable: Sequence[bool]) -> AbilityStatus:
         """For `state`: the furthest twists along each way that is left, the ways that are not, and how hard it pushes.
 
@@ -106,10 +124,13 @@ class Abilities:
 
     def _limping(self, usable: Sequence[bool], angles: Sequence[float]) -> Ability | None:
         rows = self._kinematics.matrix(angles)
-        uses = [JointUse.USABLE if ok else lost for ok, lost in zip(usable, self._lost_use, strict=True)]
+        uses = self._uses(usable)
         found = reachable(rows, uses, self._chassis.inertia(angles))
         share = effort(rows, uses, self._torques, found.basis)
         return Ability(found, share, self._policy.speed, rows) if share > 0.0 else None
+
+    def _uses(self, usable: Sequence[bool]) -> list[JointUse]:
+        return [JointUse.USABLE if ok else lost for ok, lost in zip(usable, self._lost_use, strict=True)]
 
     def _angles(self, health: Health, measured: Measured) -> list[float] | None:
         """Of all joints, where those that the geometry depends on are known; the others do not matter."""

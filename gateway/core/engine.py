@@ -30,6 +30,7 @@ from gateway.core.arbiter import Arbiter, Selection
 from gateway.core.assembly import Robot, build, limiter
 from gateway.core.health import Fault, FaultKind, Health, HealthMonitor
 from gateway.core.joint_trust import UNKNOWN, JointTrust
+from gateway.core.limp_watch import LimpWatch
 from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
@@ -47,7 +48,9 @@ from gateway.types import (
     ZERO_TWIST,
     AxisTrace,
     BusEventKind,
+    Event,
     Inputs,
+    Level,
     Mode,
     Outputs,
     Rates,
@@ -115,6 +118,7 @@ class Engine:
         self._limiter = limiter(config, robot)
         self._abilities = Abilities(config, robot)
         self._ability: Ability | None = FULL
+        self._limp_watch = LimpWatch(self._velocity, config.degraded.speed)
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._torque_loss = _torque_loss_detector(robot, config)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
@@ -162,6 +166,7 @@ class Engine:
         self._measured = measured = self._measure(now_ns, dt)
         health = self._judge(measured)
         self._believable = health.brakable
+        adrift = self._adrift(measured)
         selection = self._arbiter.select(now_ns)
         replies, granted = self._answer(inputs)
         self._ability = self._abilities.of(health, measured)
@@ -185,6 +190,8 @@ class Engine:
         )
         if motion.events:
             events = (*events, *self._reporter.of_law(motion.events, now_ns))
+        if adrift:
+            events = (*events, *self._reporter.of_law(adrift, now_ns))
         status = None
         if self._reporter.status_due(now_ns) or events or motion.events:
             status = self._status(inputs, health, selection, reason=reason, motion=motion, measured=measured)
@@ -366,7 +373,17 @@ class Engine:
             return None
         judged = self._mode in DRIVING and not measured.slipping and measured.estimate is not None
         twist = measured.estimate.twist if judged and measured.estimate is not None else None
-        return detector.look(twist, measured.torques, measured.dt)
+        return detector.look(twist, self._motors.torques(measured), measured.dt)
+
+    def _adrift(self, measured: Measured) -> tuple[Event, ...]:
+        """Whether limping has to end: whoever commands has to send zero again, and the robot brakes until then."""
+        limps = self._mode is _DEGRADED and self._ability is not None and not self._kinematics.steered
+        reach = self._ability.reach if limps and self._ability is not None else None
+        text = self._limp_watch.look(reach, None if measured.estimate is None else measured.estimate.rates)
+        if text is None:
+            return ()
+        self._arbiter.dismiss(measured.now_ns)
+        return (Event(Level.WARNING, "limp_ended", text),)
 
     def _other_faults(self, measured: Measured) -> list[Fault]:
         """Buses that are down, and joints that are heard but stand at an angle nobody knows."""
@@ -566,7 +583,8 @@ class Engine:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""
         if self._followed(health):
             self._take_up(measured, health)
-            self._limiter.brake(measured.dt)
+            effort = self._abilities.braking(health, measured, self._limiter.rates)
+            self._limiter.brake(measured.dt, effort=effort)
         else:
             self._unheard = True
         if measured.estimate is not None:

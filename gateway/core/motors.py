@@ -96,7 +96,7 @@ class Motors:
         `expected`: the speed of each as the other wheels have it, asked only where it matters.
         """
         fresh_ns = measured.dt * 1e9
-        torques = self._torques(measured)
+        torques = self.torques(measured)
         return [
             Sample(
                 self.setpoints[index],
@@ -115,7 +115,7 @@ class Motors:
         """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
         lag = 0.0
         for setpoint, speed, torque, limits in zip(
-            self.setpoints, measured.speeds, self._torques(measured), self._robot.limits
+            self.setpoints, measured.speeds, self.torques(measured), self._robot.limits
         ):
             if setpoint is None or speed is None:
                 continue
@@ -169,7 +169,7 @@ class Motors:
         """Every motor in words and numbers."""
         return tuple([self._status(index, measured) for index in range(len(self.feedback))])
 
-    def _torques(self, measured: Measured) -> Sequence[float | None]:
+    def torques(self, measured: Measured) -> Sequence[float | None]:
         """As measured; of a motor that is told voltages and tells no torque, that which its voltage was meant for."""
         if not self._untold:
             return measured.torques

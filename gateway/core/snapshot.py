@@ -49,6 +49,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.ability.Abilities": frozenset(
         {"_chassis", "_kinematics", "_lost_use", "_policy", "_pushes", "_speeds", "_torques", "_velocity"}
     ),
+    "gateway.core.limp_watch.LimpWatch": frozenset({"_bound", "_velocity"}),
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill", "_untold"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_abilities", "_timeout_ns"}),
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),

@@ -71,17 +71,55 @@ def effort(rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], bas
     within another, shrunk by this much, if it does so along every facet's normal of the other, and those are at right
     angles to all but one of its dimensions' worth of spanning vectors (Ziegler, Lectures on Polytopes, section 7.3).
     """
-    every = [tuple([dot(row, one) * torque for one in basis]) for row, torque in zip(rows, torques, strict=True)]
-    usable = [vector for vector, use in zip(every, uses, strict=True) if use is JointUse.USABLE]
+    every, usable = _pushes(rows, uses, torques, basis)
     if not basis or not usable:
         return 0.0
-    longest = max(sqrt(dot(vector, vector)) for vector in every)
     share = 1.0
-    for spanning in combinations(usable, len(basis) - 1):
-        _, normals = _split(spanning, longest, len(basis))
-        for normal in normals if len(normals) == 1 else ():  # vectors in one line or plane bound no facet
-            share = min(share, _extent(usable, normal) / _extent(every, normal))
+    for normal in _facets(usable, every):
+        share = min(share, _extent(usable, normal) / _extent(every, normal))
     return share
+
+
+def effort_along(
+    rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], found: Reachable, momentum: Sequence[float]
+) -> float | None:
+    """The same along one motion: how much of the deceleration of all motors the usable ones give it.
+
+    `momentum`: of that motion, N s and N m s; its size does not count. None: none of it can be braked.
+    """
+    every, usable = _pushes(rows, uses, torques, found.basis)
+    way = [dot(one, momentum) for one in found.basis]
+    square = dot(way, way)
+    if square <= 0.0:
+        return None
+    least = sqrt(square) / MAX_CONDITION
+    left, whole = _reach(usable, _facets(usable, every), way, least), _reach(every, _facets(every, every), way, least)
+    return min(1.0, left / whole) if whole > 0.0 else None
+
+
+def _pushes(
+    rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], basis: Matrix
+) -> tuple[list[Vector], list[Vector]]:
+    """What all motors and the usable ones push along a basis, a vector each."""
+    every = [tuple([dot(row, one) * torque for one in basis]) for row, torque in zip(rows, torques, strict=True)]
+    return every, [vector for vector, use in zip(every, uses, strict=True) if use is JointUse.USABLE]
+
+
+def _facets(vectors: Sequence[Vector], every: Sequence[Vector]) -> list[Vector]:
+    """Normals of the facets of what these span; rounding is told by the longest of all."""
+    size, longest = len(every[0]), max(sqrt(dot(vector, vector)) for vector in every)
+    found = []
+    for spanning in combinations(vectors, size - 1):
+        _, normals = _split(spanning, longest, size)
+        if len(normals) == 1:  # vectors in one line or plane bound no facet
+            found.append(normals[0])
+    return found
+
+
+def _reach(vectors: Sequence[Vector], normals: Sequence[Vector], way: Vector | list[float], least: float) -> float:
+    """The largest multiple of the way that lies in what these vectors span; 0 where no facet is seen along it."""
+    rates = [(abs(dot(normal, way)), normal) for normal in normals]
+    return min([_extent(vectors, normal) / rate for rate, normal in rates if rate > least], default=0.0)
 
 
 def _extent(vectors: Sequence[Vector], normal: Vector) -> float:

@@ -6,7 +6,10 @@ from itertools import pairwise
 import pytest
 
 from gateway.config import ConfigError, RobotConfig, parse
+from gateway.control.drive_law import Measured
+from gateway.core.ability import Abilities
 from gateway.core.assembly import build
+from gateway.core.health import Health
 from gateway.types import AbilityStatus, EffectiveMotors, Mode, Twist
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
@@ -274,3 +277,23 @@ def test_how_hard_it_pushes_is_in_its_state_with_the_motors_that_are_left() -> N
     assert (reduced.usable[0], reduced.usable[6]) == (1.732, 1.0)
     assert all(left < every + 1e-9 for left, every in zip(reduced.usable, EVERY, strict=True))
     assert nothing == EffectiveMotors(EVERY, (0.0,) * 12)
+
+
+ALONE = (-0.866 / 25.0, 0.5 / 25.0, 0.2 / 0.9)  # how front_left alone drives 25 kg and 0.9 kg m^2
+
+
+@pytest.mark.parametrize(("strong", "way", "share"), [(4.5, (1.0, 0.0, 0.0), 0.5), (450.0, ALONE, 0.35)])
+def test_a_stop_takes_at_most_three_times_as_long_however_strong_the_motor_was(
+    strong: float, way: tuple[float, float, float], share: float
+) -> None:
+    """omni4 without front_left: half is left of four alike; hardly anything of what one alone could do."""
+    config = parse(robot_text("omni4"), "omni4")
+    abilities = Abilities(config, build(config))
+    abilities._torques = (strong, 4.5, 4.5, 4.5)
+    lost = (False, True, True, True)
+    measured = Measured(0, 0.004, (0.0,) * 4, (0.0,) * 4, (0.0,) * 4, (0,) * 4, (0.0,) * 4, None, False, None, None, ())
+    assert abilities.braking(Health(lost, lost, (True,) * 4, ()), measured, way) == pytest.approx(share)
+    assert abilities.braking(Health(lost, lost, (True,) * 4, ()), measured, (0.0, 0.0, 0.0)) == 1.0
+    none, well = (False,) * 4, (True,) * 4
+    assert abilities.braking(Health(none, none, well, ()), measured, (1.0, 0.0, 0.0)) == 1.0
+    assert abilities.braking(Health(well, well, well, ()), measured, (1.0, 0.0, 0.0)) == 1.0

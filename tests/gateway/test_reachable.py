@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.kinematics.linear import Matrix
-from gateway.kinematics.reachable import JointUse, Reachable, effort, reachable
+from gateway.kinematics.reachable import JointUse, Reachable, effort, effort_along, reachable
 
 USABLE, FREE, HELD = JointUse.USABLE, JointUse.FREE, JointUse.HELD
 R, D1, D2 = 0.1, 0.25, 0.4  # Otbot
@@ -169,6 +170,70 @@ def test_otbot_drives_as_hard_without_its_platform_motor_as_with_it() -> None:
     for phi in (0.0, 0.7, 2.0):
         share = effort_of(otbot(phi), (USABLE, USABLE, FREE), (75.0, 75.0, 229.0))
         assert 0.2 < share <= 1.0
+
+
+def along(rows: Matrix, uses: Sequence[JointUse], torques: Sequence[float], way: Sequence[float]) -> float | None:
+    momentum = [sum(part * rate for part, rate in zip(row, way, strict=True)) for row in INERTIA]
+    return effort_along(rows, uses, torques, reachable(rows, uses, INERTIA), momentum)
+
+
+def test_what_is_left_along_one_way_by_hand() -> None:
+    """Rojas' 30-degree layout without one wheel: of 3.464, 1.793 and 2 effective motors 1.732, 1.414 and 1 are left.
+
+    And without two: in line with both that are left all of it, and where they push nothing there is nothing to tell.
+    """
+    rows = ring([math.pi / 3, 2 * math.pi / 3, 4 * math.pi / 3, 5 * math.pi / 3])
+    torques = (2.0,) * 4
+    for dead, better in ((0, math.pi / 4), (1, 3 * math.pi / 4), (2, math.pi / 4), (3, 3 * math.pi / 4)):
+        uses = tuple(FREE if place == dead else USABLE for place in range(4))
+        assert along(rows, uses, torques, (1.0, 0.0, 0.0)) == pytest.approx(0.5)
+        assert along(rows, uses, torques, (0.0, -1.0, 0.0)) == pytest.approx(0.5)
+        assert along(rows, uses, torques, (0.0, 0.0, 1.0)) == pytest.approx(0.5)
+        assert along(rows, uses, torques, (math.cos(better), math.sin(better), 0.0)) == pytest.approx(
+            1.414 / 1.793, 1e-3
+        )
+    assert along(FOUR, (USABLE, FREE, USABLE, FREE), torques, (1.0, -1.0, 0.0)) == pytest.approx(1.0)
+    assert along(FOUR, (USABLE, FREE, USABLE, FREE), torques, (0.0, 0.0, 2.0)) == pytest.approx(0.5)
+    assert along(FOUR, (FREE,) * 4, torques, (1.0, 0.0, 0.0)) is None
+
+
+@settings(max_examples=100, deadline=None)
+@given(angles, uses_of, st.lists(st.floats(0.5, 5.0), min_size=6, max_size=6), wanted_twists)
+def test_along_no_way_is_less_left_than_in_the_worst_one(
+    at: list[float], uses: list[JointUse], torques: list[float], way: tuple[float, float, float]
+) -> None:
+    """And it is what numpy finds: the largest multiple of a push that they give, by a linear program."""
+    rows, given_uses, found = drawn(at, uses, 0.1)
+    if not found.basis:
+        return
+    momentum = np.array(inertia_of(0.1)) @ np.array(way)
+    pushed = np.array(found.basis) @ momentum
+    if np.linalg.norm(pushed) < 1e-3:
+        return
+    share = effort_along(rows, given_uses, torques[: len(at)], found, tuple(map(float, momentum)))
+    assert share is not None
+    assert share >= effort(rows, given_uses, torques[: len(at)], found.basis) - 1e-6
+    seen = np.array(found.basis) @ (np.array(rows).T * np.array(torques[: len(at)]))
+    usable = [use is USABLE for use in given_uses]
+    left, whole = (most(seen[:, kept], pushed) for kept in (usable, [True] * len(at)))
+    assert share == pytest.approx(min(1.0, left / whole), rel=1e-4)
+
+
+def most(pushes: np.ndarray, way: np.ndarray) -> float:
+    """The largest multiple of the way that is a sum of these, each times -1 to 1.
+
+    At the end of a linear program all but as many factors as there are dimensions but one are at their ends.
+    """
+    size, best = pushes.shape[1], 0.0
+    for free in combinations(range(size), min(size, len(way) - 1)):
+        ends = [place for place in range(size) if place not in free]
+        system = np.column_stack([way, -pushes[:, free]])
+        for signs in product([1.0, -1.0], repeat=len(ends)):
+            fixed = pushes[:, ends] @ np.array(signs)
+            found = np.linalg.lstsq(system, fixed, rcond=None)[0]
+            if np.abs(system @ found - fixed).max() < 1e-9 and np.abs(found[1:]).max(initial=0.0) <= 1.0 + 1e-9:
+                best = max(best, float(found[0]))
+    return best
 
 
 @settings(max_examples=100, deadline=None)

@@ -1,6 +1,7 @@
 """The balance of momentum names the motor whose torque does not arrive; on a body integrated here, and by drives."""
 
 from collections.abc import Callable
+from itertools import combinations
 from math import cos, sin
 
 import pytest
@@ -78,6 +79,23 @@ def test_the_motor_is_named(told: Torques, motor: int) -> None:
     assert named is not None
     assert named[0] == motor
     assert named[1] * DT <= 0.4
+
+
+@pytest.mark.parametrize("motor", range(4))
+@pytest.mark.parametrize("gone", [1, 2])
+def test_the_next_one_is_named_where_others_were_lost_before(motor: int, gone: int) -> None:
+    """Of those nothing is told any more, because they are released; any two or three, in any order."""
+    for others in combinations([place for place in range(4) if place != motor], gone):
+        gains = tuple(float(place != motor and place not in others) for place in range(4))
+
+        def told(t: float, others: tuple[int, ...] = others) -> tuple[float, float, float, float]:
+            w, x, y, z = (0.0 if place in others else torque for place, torque in enumerate(swinging(t)))
+            return w, x, y, z
+
+        named = found(told, gains=gains)
+        assert named is not None
+        assert named[0] == motor
+        assert named[1] * DT <= 1.0  # the weakest starts from nothing
 
 
 @pytest.mark.parametrize("motor", range(4))

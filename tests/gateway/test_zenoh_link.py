@@ -31,6 +31,7 @@ from gateway.edges.messages import (
     ResetAnswer,
     StateMessage,
     TruthMessage,
+    decode_ability,
     decode_reply,
     encode_event,
     encode_twist,
@@ -52,6 +53,7 @@ from gateway.types import (
     RequestKind,
     SensorKind,
     SensorSample,
+    Status,
     Twist,
     TwistCommand,
     TwistFrame,
@@ -609,6 +611,34 @@ def test_what_the_robot_can_do_is_told_when_it_changes_and_answered(
         link.publish(odometry=None, status=status, events=(), now_ns=number * 1_000_000_000)
         expected = AbilityMessage(1.0 if number < 3 else 3.0, status.ability)
         assert eventually(partial(_tells, client, expected))
+
+
+def test_who_listens_is_told_what_the_robot_can_do_when_it_changes_and_then_alone(
+    link: ZenohLink, client: Client
+) -> None:
+    full = STATUS._replace(ability=AbilityStatus(3, 1.0, 1.0, (), ()))
+    heard: list[AbilityMessage | None] = []
+    subscriber = client._session.declare_subscriber(
+        "moby/reachable", lambda sample: heard.append(decode_ability(sample.payload.to_bytes()))
+    )
+
+    def publish(status: Status, t: int) -> None:
+        link.publish(odometry=None, status=status, events=(), now_ns=t * 1_000_000_000)
+
+    def subscribed() -> bool:
+        publish(STATUS, 1)
+        publish(full, 1)
+        return bool(heard)
+
+    assert eventually(subscribed)
+    assert eventually(partial(_tells, client, AbilityMessage(1.0, full.ability)))
+    publish(full, 2)
+    assert client.wait_for_state(lambda message: message.t == 2.0, TIMEOUT_S), "this much is published"
+    publish(STATUS, 3)
+    expected = AbilityMessage(3.0, STATUS.ability)
+    assert eventually(lambda: expected in heard)
+    assert AbilityMessage(2.0, full.ability) not in heard
+    subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 def test_what_the_loop_says_is_published(link: ZenohLink, client: Client) -> None:
