@@ -182,7 +182,8 @@ class _Motor:
         """A feedback frame; False for one that no controller sends."""
         if len(data) < _FEEDBACK_SIZE:
             return False
-        angle_ticks, speed_rpm, current_raw, temperature = _feedback(data)
+        values: tuple[int, int, int, int] = _feedback(data)  # compiled, a number of no known type takes twice as long
+        angle_ticks, speed_rpm, current_raw, temperature = values
         if angle_ticks >= TICKS:
             return False
         if self.heard_ns is None:
