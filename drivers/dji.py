@@ -180,10 +180,12 @@ class _Motor:
 
     def take(self, data: bytes, bus: str, received_ns: int) -> bool:
         """A feedback frame; False for one that no controller sends."""
-        values = _feedback_values(data)
-        if values is None:
+        if len(data) < _FEEDBACK_SIZE:
             return False
+        values: tuple[int, int, int, int] = _feedback(data)  # compiled, a number of no known type takes twice as long
         angle_ticks, speed_rpm, current_raw, temperature = values
+        if angle_ticks >= TICKS:
+            return False
         if self.heard_ns is None:
             self.total_ticks = angle_ticks
         else:
@@ -347,8 +349,8 @@ class DjiDriver:
         motor = self._by_id.get(frame.id)
         if motor is None:
             return None
-        items = _feedback_values(frame.data)
-        if items is None:
+        items = _feedback(frame.data)
+        if items[0] >= TICKS:
             return None
         return DecodedFrame(motor.spec.name, "feedback", tuple(zip(_FEEDBACK_FIELDS, items, strict=True)))
 
@@ -380,14 +382,6 @@ class DjiDriver:
             data_frame(self._bus, shared.id, _COMMAND.pack(*raws[shared.first : shared.first + MOTORS_PER_FRAME]))
             for shared in self._command_frames
         ]
-
-
-def _feedback_values(data: bytes) -> tuple[int, int, int, int] | None:
-    """Angle in ticks, speed in rpm, raw current, temperature; None for what no controller sends."""
-    if len(data) < _FEEDBACK_SIZE:
-        return None
-    angle_ticks, speed_rpm, current_raw, temperature = _feedback(data)
-    return None if angle_ticks >= TICKS else (angle_ticks, speed_rpm, current_raw, temperature)
 
 
 def _mode(motor: MotorSpec) -> Mode:

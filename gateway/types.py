@@ -50,6 +50,8 @@ class Mode(Enum):
     ESTOP = "estop"  # latched emergency stop
     FAULT = "fault"  # a reason not to move; see Status.faults
 
+    __hash__ = object.__hash__  # of an enumeration it is a function of Python, called by every look-up in a dict
+
 
 class TwistFrame(Enum):
     """The frame a commanded twist is expressed in."""
@@ -64,6 +66,8 @@ class Region(Enum):
     ANY = "any"
     PUSH = "push"  # the body in front of the wheels, which push it
     PULL = "pull"  # the wheels in front
+
+    __hash__ = object.__hash__
 
 
 class TwistCommand(NamedTuple):

@@ -470,7 +470,8 @@ class Engine:
                 faulty=bool(health.faults),
                 reduced=not all(health.usable),
                 commanded=selection.command is not None,
-                start=selection.command is not None
+                start=self._mode is _IDLE
+                and selection.command is not None
                 and selection.command.still
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
@@ -600,10 +601,10 @@ class Engine:
 
     def _followed(self, health: Health) -> bool:
         """Whether any motor obeys, as far as can be seen."""
-        return any(
-            obeying and feedback.state is _OPERATIONAL
-            for obeying, feedback in zip(health.obeying, self._motors.feedback)
-        )
+        for obeying, feedback in zip(health.obeying, self._motors.feedback):
+            if obeying and feedback.state is _OPERATIONAL:
+                return True
+        return False
 
     def _fall_back(self, measured: Rates, dt: float) -> None:
         """Take the setpoint back to what is measured along its direction, where the robot is much slower than that."""

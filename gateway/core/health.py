@@ -150,11 +150,10 @@ class HealthMonitor:
             if motor.state is _OPERATIONAL:
                 if energised:
                     self._obeyed.add(index)
-                fault = (
-                    self._blamed(index, FaultKind.TORQUE_LOST, powerless)
-                    or self._detected(index, samples[index])
-                    or self._blamed(index, FaultKind.REVERSED, backwards)
-                )
+                fault = None if powerless is None else self._blamed(index, FaultKind.TORQUE_LOST, powerless)
+                fault = fault or self._detected(index, samples[index])
+                if fault is None and backwards is not None:
+                    fault = self._blamed(index, FaultKind.REVERSED, backwards)
             else:
                 fault = self._reported(index, motor, energised=energised)
             if fault is not None:
@@ -195,11 +194,10 @@ class HealthMonitor:
                 return Fault(kind, self._names[index], text, latched=True)
         return None
 
-    def _blamed(self, index: int, kind: FaultKind, blamed: tuple[int, str] | None) -> Fault | None:
+    def _blamed(self, index: int, kind: FaultKind, blamed: tuple[int, str]) -> Fault | None:
         """What was found by looking at all motors together."""
-        if blamed is None or blamed[0] != index:
-            return None
-        return Fault(kind, self._names[index], blamed[1], latched=True)
+        place, text = blamed
+        return Fault(kind, self._names[index], text, latched=True) if place == index else None
 
     def _judge(self, present: Sequence[Fault]) -> Health:
         for fault in present:

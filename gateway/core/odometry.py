@@ -214,8 +214,8 @@ class WheelOdometry:
                 None if position is None else position - 0.5 * (delta or 0.0)
                 for position, delta in zip(positions, deltas)
             ]
-        estimate = self._kinematics.twist(deltas, positions)
-        return None if estimate is None else _displacement(estimate.twist)
+        way = self._kinematics.motion(deltas, positions)
+        return None if way is None else _displacement(way)
 
     def _move(self, way: Displacement, turn: float | None) -> None:
         length = abs(way.x) + abs(way.y)

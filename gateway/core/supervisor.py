@@ -32,7 +32,7 @@ class Situation:
         faulty: bool = False,  # any fault at all
         reduced: bool = False,  # a motor is lost; `blocked` says whether every direction is still reachable
         commanded: bool = False,  # a source is fresh
-        start: bool = False,  # a fresh zero command, and no motor to wait for
+        start: bool = False,  # in IDLE: a fresh zero command, and no motor to wait for
         armed: bool = False,  # every usable motor obeys
         overdue: bool = False,  # arming takes too long
         rested: bool = False,  # setpoint zero and the wheels stand, or do not report and had their time

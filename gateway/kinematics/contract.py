@@ -67,6 +67,10 @@ class Kinematics(Protocol):
         """Forward kinematics from the wheels that were measured (others None); None when they do not determine it."""
         ...
 
+    def motion(self, speeds: Sequence[float | None], positions: Sequence[float | None]) -> Twist | None:
+        """The twist of `twist` alone, for who asks nothing else."""
+        ...
+
     def reach(self, usable: Sequence[bool]) -> Reach:
         """What the usable motors alone can do, at joint angle zero."""
         ...

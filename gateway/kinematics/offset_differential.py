@@ -71,7 +71,12 @@ class OffsetDifferentialKinematics:
         return [lx * vx + ly * vy, rx * vx + ry * vy, px * vx + py * vy + wz]
 
     def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None]) -> Estimate | None:
-        """Forward kinematics (Eqs. 8-9): the same rows solved; three wheels for three axes leave no residual."""
+        """Forward kinematics; three wheels for three axes leave no residual."""
+        twist = self.motion(speeds, positions)
+        return None if twist is None else _estimate((twist, None, None, ()))
+
+    def motion(self, speeds: Sequence[float | None], positions: Sequence[float | None]) -> Twist | None:
+        """Forward kinematics (Eqs. 8-9): the same rows solved."""
         left, right, joint = speeds
         phi = positions[PLATFORM]
         if left is None or right is None or joint is None or phi is None:
@@ -80,7 +85,7 @@ class OffsetDifferentialKinematics:
         determinant = lx * ry - ly * rx
         vx = (left * ry - right * ly) / determinant
         vy = (right * lx - left * rx) / determinant
-        return _estimate((_twist((vx, vy, joint - px * vx - py * vy)), None, None, ()))
+        return _twist((vx, vy, joint - px * vx - py * vy))
 
     def reach(self, usable: Sequence[bool]) -> Reach:
         """Three motors for three axes: every one is needed."""

@@ -80,6 +80,11 @@ def test_round_trip(name: str, vx: float, vy: float, wz: float, phi: float) -> N
     assert estimate is not None
     assert estimate.twist == pytest.approx((vx, vy, wz), abs=1e-12)
     assert estimate.residual is None or estimate.residual == pytest.approx(0.0, abs=1e-12)
+    for lost in range(len(wheels)):
+        some = [None if place == lost else wheel for place, wheel in enumerate(wheels)]
+        found = chassis.twist(some, positions)
+        assert chassis.motion(some, positions) == (None if found is None else found.twist)
+    assert chassis.motion(wheels, positions) == estimate.twist
 
 
 @given(st.lists(angles, min_size=4, max_size=4), st.floats(0.3, 3.0))
