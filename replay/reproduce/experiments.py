@@ -4,7 +4,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from replay.reproduce import arcs, drawing, hits, impact, kane, kane_tracking, rojas, straight, tables, torques
+from replay.reproduce import (
+    arcs,
+    drawing,
+    hits,
+    impact,
+    kane,
+    kane_tracking,
+    rojas,
+    rojas_launch,
+    straight,
+    tables,
+    torques,
+)
 from replay.reproduce.result import Found, Result, Stage
 
 
@@ -27,6 +39,8 @@ EXPERIMENTS: dict[str, Experiment] = {
     "moby-fig15": Experiment("Figure 15: both experiments of section 8", hits.figure_15, 4),
     "rojas-fig4": Experiment("Figure 4: effective motors", rojas.figure_4, 3),
     "rojas-fig9": Experiment("Figure 9: what of the speed the rollers provide", rojas.figure_9, 5),
+    "rojas-fig10": Experiment("Figure 10: constant torque by voltage steps", rojas_launch.figure_10, 2),
+    "rojas-launch": Experiment("Sections 7 and 8: launched without slip", rojas_launch.launches, 10),
     "rojas-slip": Experiment("Section 9: wheels that slip", rojas.slip_table, 1),
     "rojas-dead": Experiment("Section 11: without one motor", rojas.dead_motors, 4),
     "kane-fig7": Experiment("Figure 7: along a diagonal while spinning", kane.figure_7, 2),
