@@ -10,6 +10,7 @@ from replay.reproduce import (
     hits,
     impact,
     kane,
+    kane_paths,
     kane_tracking,
     rojas,
     rojas_launch,
@@ -49,6 +50,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "kane-fig13": Experiment("Figures 13 to 18: along a figure eight", kane_tracking.figure_13, 2),
     "kane-fig19": Experiment("Figures 15 and 19 to 22: sharp corners", kane_tracking.figure_19, 3),
     "kane-fig24": Experiment("Figures 23 to 27: pushed on the figure eight", kane_tracking.figure_24, 2),
+    "kane-tracking": Experiment("Along paths: wheel control and the service's loop", kane_paths.tracking, 6),
 }
 
 
