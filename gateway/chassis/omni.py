@@ -99,6 +99,7 @@ class OmniRobot(Section):
         if self.grip is None:
             return speeds
         body = self.body
+        losses = Losses(body.joint_inertia, body.joint_friction, body.joint_drag)
         return LaunchLaw(
             speeds,
             grip=Grip(
@@ -107,10 +108,14 @@ class OmniRobot(Section):
                 mass=body.mass,
                 inertia=body.inertia,
                 height=body.centre_height or 0.0,
+                pushes=[
+                    losses.push(pusher.torque, wheel.radius)
+                    for pusher, wheel in zip(parts.pushers, self.wheel, strict=True)
+                ],
             ),
             friction=self.grip.friction,
             radii=[wheel.radius for wheel in self.wheel],
-            losses=Losses(body.joint_inertia, body.joint_friction, body.joint_drag),
+            losses=losses,
             acceleration=parts.acceleration,
             top_speeds=parts.top_speeds,
             pushers=parts.pushers,

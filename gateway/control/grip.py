@@ -11,6 +11,8 @@ Lectures on Polytopes, section 7.3). With c_k = mu n_k(a) and w = M a each of th
 is a polytope of accelerations, known once. At a facet the wheels outside its plane push all they may; so the facet that
 is reached says how the wheels share a wrench, where the kernel of the coupling matrix leaves a choice (Rojas 2005,
 sections 4 and 7): by load, and not alike.
+Where a motor may give less than the floor bears, c_k is the lesser of the two: each facet is then as many limits as
+there are choices which of the two it is for each wheel, and the least of them counts.
 """
 
 from collections.abc import Sequence
@@ -24,6 +26,7 @@ from gateway.kinematics.linear import Matrix, Vector, pseudo_inverse, transpose
 GRAVITY: Final = 9.81  # m/s^2
 _IN_PLANE: Final = 1e-9  # of a row's length: what stands out of a facet by less lies in it
 _PAIR: Final = 2
+_MOST_WEAK: Final = 4  # wheels outside a facet's plane of which each may be limited by its floor or its motor
 _NONE: Final = (0.0, 0.0, 0.0)
 _UNITS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 Three = tuple[float, float, float]
@@ -33,18 +36,24 @@ class GripError(ValueError):
     """Wheels that do not carry the robot."""
 
 
-class Facet(NamedTuple):
-    """One limit of what the wheels push together, along a normal y: y . w <= mu (load + shift . a).
+class Push(NamedTuple):
+    """What a motor pushes with at the rim: N, less the kg of what turns with it times what its rim speeds up by."""
 
-    `signs`: of row_k . y, 0 of the wheels in its plane, `within`; `load` N and `shift` kg: sum |row_k . y| n_k.
+    force: float
+    inertia: float
+
+
+class Facet(NamedTuple):
+    """One limit of what the wheels push together, along a normal y: y . w <= sum |row_k . y| c_k.
+
+    `signs` and `sizes`: of row_k . y, 0 of the wheels in its plane, `within`.
     `rest`: forces of the wheels in it for a wrench in the plane, in N per N and N m: by load where they are more than
     two.
     """
 
     normal: Three
-    load: float
-    shift: tuple[float, float]
     signs: tuple[float, ...]
+    sizes: tuple[float, ...]
     within: tuple[int, ...]
     rest: tuple[Three, ...]
 
@@ -71,7 +80,8 @@ class Grip:
     """Of n fixed wheels that roll in one direction each. Raises GripError where they do not carry the robot.
 
     `rows`: of the rim matrix, `places`: x and y of the contacts, m; `mass` kg, `inertia` kg m^2 about the origin, where
-    the centre of mass is, `height` m above the floor (0: no load is shifted). Nobody changes it.
+    the centre of mass is, `height` m above the floor (0: no load is shifted); `pushes`: what each motor gives at
+    most (none told: whatever the floor bears). Nobody changes it.
     """
 
     def __init__(
@@ -82,12 +92,14 @@ class Grip:
         mass: float,
         inertia: float,
         height: float,
+        pushes: Sequence[Push] = (),
     ) -> None:
         self.rows = tuple([(row[0], row[1], row[2]) for row in rows])
         self._places = tuple(places)
         self.masses = (mass, mass, inertia)
         self._shifted = mass * height  # kg m
         self._weight = mass * GRAVITY
+        self._pushes = tuple(pushes) or (Push(inf, 0.0),) * len(self.rows)
         self.resting = self._at_rest()
         self.shifts = self._shifts()
         self.facets = tuple(self._facets())
@@ -102,7 +114,15 @@ class Grip:
 
     def cones(self, friction: float) -> tuple[Cone, ...]:
         """Every limit of what the wheels push together, with how they share a push whose limit it is."""
-        return tuple([self._cone(facet, sign, friction) for facet in self.facets for sign in (1.0, -1.0)])
+        weak = self._weak(friction)
+        return tuple(
+            [
+                self._cone(facet, sign, friction, motors)
+                for facet in self.facets
+                for motors in _choices([index for index in weak if facet.sizes[index] > 0.0])
+                for sign in (1.0, -1.0)
+            ]
+        )
 
     def lifting(self) -> tuple[Three, ...]:
         """Limits beyond which a wheel leaves the floor, as those of cones."""
@@ -156,14 +176,28 @@ class Grip:
             wrench = [part - force * of for part, of in zip(wrench, row, strict=True)]
         return _in_line(rows, signs, forces, most, dot(wrench, chosen) / dot(chosen, chosen))
 
-    def _cone(self, facet: Facet, sign: float, friction: float) -> Cone:
-        given = friction * facet.load
+    def _weak(self, friction: float) -> list[int]:
+        """Wheels of which the motor may give less than the floor bears."""
+        most = friction * GRAVITY  # m/s^2
+        return [
+            index
+            for index, (push, load, (x, y)) in enumerate(zip(self._pushes, self.resting, self.shifts, strict=True))
+            if push.force - push.inertia * most < friction * (load + most * (abs(x) + abs(y)))
+        ]
+
+    def _cone(self, facet: Facet, sign: float, friction: float, motors: Sequence[int]) -> Cone:
+        """`motors`: of the wheels outside the plane, those whose motor is what limits them."""
+        sides = [sign * side for side in facet.signs]
+        most = [self._most(index, side, friction, index in motors) for index, side in enumerate(sides)]
+        given, shifted = 0.0, _NONE
+        for size, (push, shift) in zip(facet.sizes, most, strict=True):
+            if size > 0.0:
+                given, shifted = given + size * push, _plus(shifted, _times(size, shift))
         x, y, z = [sign * part * of for part, of in zip(facet.normal, self.masses, strict=True)]
-        shift_x, shift_y = facet.shift
-        limit = ((x - friction * shift_x) / given, (y - friction * shift_y) / given, z / given)
+        limit = _times(1.0 / given, (x - shifted[0], y - shifted[1], z - shifted[2]))
         forces = [
-            _times(sign * side * friction, (load * limit[0] + x, load * limit[1] + y, load * limit[2]))
-            for side, load, (x, y) in zip(facet.signs, self.resting, self.shifts, strict=True)
+            _times(side, _plus(_times(push, limit), shift)) if side else _NONE
+            for side, (push, shift) in zip(sides, most, strict=True)
         ]
         left = [_times(mass, axis) for mass, axis in zip(self.masses, _UNITS, strict=True)]  # wrench per acceleration
         for row, force in zip(self.rows, forces, strict=True):
@@ -174,6 +208,14 @@ class Grip:
                 total = _plus(total, _times(share, part))
             forces[index] = total
         return Cone(limit, tuple(forces))
+
+    def _most(self, index: int, side: float, friction: float, motor: bool) -> tuple[float, Three]:
+        """What a wheel pushes at most to this side: N, and N per acceleration of the body."""
+        if motor:
+            push = self._pushes[index]
+            return push.force, _times(-side * push.inertia, self.rows[index])
+        x, y = self.shifts[index]
+        return friction * self.resting[index], (friction * x, friction * y, 0.0)
 
     # loads
 
@@ -232,18 +274,20 @@ class Grip:
     def _facet(self, normal: Three) -> Facet:
         outside = [_outside(row, normal) for row in self.rows]
         within = tuple([index for index, part in enumerate(outside) if part == 0.0])
-        load = shift_x = shift_y = 0.0
-        for part, resting, (x, y) in zip(outside, self.resting, self.shifts, strict=True):
-            load += abs(part) * resting
-            shift_x += abs(part) * x
-            shift_y += abs(part) * y
         rows = [self.rows[index] for index in within]
         weights = [sqrt(self.resting[index]) for index in within]  # of least norm, the loaded ones push more
         scaled = tuple([_times(weight, row) for weight, row in zip(weights, rows, strict=True)])
         rest = tuple(
             [_times(weight, (a, b, c)) for weight, (a, b, c) in zip(weights, pseudo_inverse(transpose(scaled)))]
         )
-        return Facet(normal, load, (shift_x, shift_y), tuple(map(_sign, outside)), within, rest)
+        return Facet(normal, tuple(map(_sign, outside)), tuple([abs(part) for part in outside]), within, rest)
+
+
+def _choices(indices: Sequence[int]) -> list[tuple[int, ...]]:
+    """Every choice of some of these; of too many, none: then their motors are taken to suffice."""
+    if len(indices) > _MOST_WEAK:
+        return [()]
+    return [chosen for size in range(len(indices) + 1) for chosen in combinations(indices, size)]
 
 
 def part_of(limits: Sequence[Three], acceleration: Sequence[float]) -> float:

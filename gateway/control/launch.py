@@ -21,55 +21,63 @@ torque is limited in it.
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from drivers.records import maker
 from drivers.setpoint import CommandKind
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.grip import Cone, Grip, Three, part_of, room
 from gateway.control.launch_slip import LaunchSlip, Losses, Told
 from gateway.control.limits import TURNING_SHARE, Ground, excess
 from gateway.control.transmission import Winding
-from gateway.kinematics.linear import pseudo_inverse, transpose
 from gateway.types import Event, Facts, Level, Rates, Region
 
 FRICTION: Final = "friction"  # facts of the chassis in `state`: as it is taken to be ...
 LAUNCH: Final = "launch"  # ... and whether it is launched
 SLIPPED: Final = "launch_slipped"  # the event
-MARGIN: Final = 0.97  # of what the floor gives, that is asked of it
+MARGIN: Final = 0.965  # of what the floor gives, that is asked of it
 LEAST_EFFORT: Final = 0.02  # of the acceleration limits, left where a curve takes all that the floor gives
 LEAST_LEARNED: Final = 0.25  # of the friction in the robot file: with less, commanded braking would hardly brake
 _QUIET: Final = 0.01  # of the acceleration limits: less is no push
 _ACTIVE: Final = 0.05  # of them: more is a launch
 _JUMP: Final = 1.2  # of them: so fast the setpoint does not move, it was put elsewhere
 _SAME_WAY: Final = 1e-6  # of a direction
+_ROUNDING: Final = 1e-9  # m/s^2
 _SAFE: Final = 0.95  # of what it gave
 _FOLLOWING: Final = 0.05  # of top speed: wheels further from their setpoint do not follow their voltages
 HOLD_TIME: Final = 0.3  # s after a launch in which a wheel that is behind gets no more torque than it grips
 _BELOW: Final = 0.9  # of the torque that a wheel may have: with less, it is not held back
 _CAUGHT_UP: Final = 0.005  # of top speed, where no torque is told
 _NONE: Final = (0.0, 0.0, 0.0)
+_made: Final = maker(Told)
 _VELOCITY: Final = CommandKind.VELOCITY
 _VOLTAGE: Final = CommandKind.VOLTAGE
 
 
 class Pusher(NamedTuple):
-    """What a motor can be told of a push: a torque besides its speed, a limit; `winding`: voltages instead, up to
-    `supply` V, as of its output.
+    """What a motor can be told of a push: a torque besides its speed, a limit; `torque`: N m that it has at its output.
 
-    `hosted`: its speed loop is here, and compares with what was measured before the cycle.
+    `hosted`: its speed loop is here, and compares with what was measured before the cycle. `winding`: of one that is
+    told voltages instead, as of its output, up to `supply` V.
     """
 
     feed_forward: bool
     limit: bool
     hosted: bool
+    torque: float
     winding: Winding | None = None
     supply: float = 0.0
 
 
-class Push(NamedTuple):
-    """One way to push, and how. `part`: of what the floor gives, per unit of the way."""
+class Sharing(NamedTuple):
+    """One way to push, and how; all of it per unit of the way. `part`: of what the floor gives.
+
+    Of each wheel: `torques` N m for the floor, `rates` rad/s^2, and `shifts` N m of what it may push more or less.
+    """
 
     way: Three
     part: float
-    cone: int
+    torques: tuple[float, ...]
+    rates: tuple[float, ...]
+    shifts: tuple[float, ...]
 
 
 def stepped_voltage(start: float, back_emf: float, most: float) -> float:
@@ -105,7 +113,6 @@ class LaunchLaw:
         self._rows = tuple([(a / r, b / r, c / r) for (a, b, c), r in zip(grip.rows, radii, strict=True)])
         self._still = (0.0,) * len(radii)
         self._free: tuple[float | None, ...] = (None,) * len(radii)
-        self._curves = _least_norm(grip, radii)
         self._steps = any(pusher.winding is not None for pusher in pushers)
         self._lifting = grip.lifting()
         self._whole = True
@@ -113,11 +120,10 @@ class LaunchLaw:
         self._told: Told | None = None  # in the last cycle; None: nothing was pushed
         self._turning: Sequence[float] = self._still  # rad/s of the last setpoint
         self._slip = LaunchSlip(grip, radii=radii, losses=losses, top_speeds=top_speeds)
-        self._rest = Told(self._still, _NONE, self._still, launch=False)
         self._held = 0.0  # s for which the torques stay bounded
         self._stepped = False  # voltages were told in the last cycle
         self._followed = True  # no wheel was far from its setpoint under voltages since rest
-        self._push = Push(_NONE, 0.0, 0)
+        self._push: Sharing
         self._learn(friction)
 
     @property
@@ -174,7 +180,7 @@ class LaunchLaw:
             setpoint = (setpoint[0] * share, setpoint[1] * share, setpoint[2] * share)
         before, expected = self._told, self._expected(measured)
         events: tuple[Event, ...] = ()
-        if before is not None and before.launch:
+        if before is not None and before.launch and setpoint[2] == 0.0:
             events = self._backed_off(before, expected, measured)
             if events:  # the setpoint went on while wheels slipped: it goes on from how they turn
                 back = _turned(speeds, measured.speeds)
@@ -187,7 +193,7 @@ class LaunchLaw:
         if self._steps:
             speeds, back = self._handed_over(setpoint, speeds, measured.speeds)
             share *= back
-        bounds = self._bounds_now(told, speeds, expected, measured, braking=braking)
+        bounds = self._bounds_now(told, before, speeds, expected, measured, braking=braking)
         if told is None and bounds is self._free:
             commands = _velocities(speeds)
         else:
@@ -225,12 +231,25 @@ class LaunchLaw:
         gained = ((setpoint[0] - before[0]) / dt, (setpoint[1] - before[1]) / dt, (setpoint[2] - before[2]) / dt)
         return gained if excess(gained, self._acceleration) <= _JUMP else _NONE
 
-    def _push_along(self, way: Three) -> Push:
+    def _push_along(self, way: Three) -> Sharing:
         """How to push that way; that of before is kept as long as it is the same, as in a launch straight on."""
         x, y, z = self._push.way
         if abs(way[0] - x) > _SAME_WAY or abs(way[1] - y) > _SAME_WAY or abs(way[2] - z) > _SAME_WAY:
-            self._push = _push(way, self._cones, self._lifting)
+            self._push = self._sharing(way)
         return self._push
+
+    def _sharing(self, way: Three) -> Sharing:
+        """In the cone that the way is in."""
+        x, y, z = way
+        most, found = 0.0, 0
+        for index, (a, b, c) in enumerate(self._cones):
+            part = a * x + b * y + c * z
+            if part > most:
+                most, found = part, index
+        torques = tuple([a * x + b * y + c * z for a, b, c in self._torques[found]])
+        rates = tuple([a * x + b * y + c * z for a, b, c in self._rows])
+        shifts = tuple([a * x + b * y for a, b in self._shifts])
+        return Sharing(way, max(most, part_of(self._lifting, way)), torques, rates, shifts)
 
     def _push_for(self, setpoint: Rates, dt: float, *, braking: bool) -> Told | None:
         """What the wheels are to push for this setpoint, for speeding up and for turning; None: nothing."""
@@ -240,34 +259,45 @@ class LaunchLaw:
         gained = self._gained(setpoint, dt)
         size = excess(gained, self._acceleration)
         vx, vy, wz = setpoint
-        torques, rates = self._still, self._still
-        if size > _QUIET:
-            x, y, z = gained
-            push = self._push_along((x / size, y / size, z / size))
-            rates = tuple([a * x + b * y + c * z for a, b, c in self._rows])
-            part = push.part * size
-            if part > 1.0:  # a stop that nobody commanded: what the floor does not give nobody pushes
-                x, y, z = x / part, y / part, z / part
-            torques = tuple([a * x + b * y + c * z for a, b, c in self._torques[push.cone]])
-        elif wz == 0.0:
-            return None
+        x, y, z = gained if size > _QUIET else _NONE
+        felt, much = (x, y, z), size
         if wz != 0.0:
-            torques = tuple([torque + wz * (b * vx - a * vy) for torque, (a, b) in zip(torques, self._curves)])
-        return Told(torques, gained, rates, size > _ACTIVE and not braking)
+            felt = (x - wz * vy, y + wz * vx, z)
+            much = excess(felt, self._acceleration)
+        elif size <= _QUIET:
+            return None
+        if much == 0.0:
+            return None
+        launch = size > _ACTIVE and not braking
+        before = self._told
+        if before is not None and wz == 0.0 and before.launch is launch and _same(felt, before.felt):
+            return before
+        push = self._push_along((felt[0] / much, felt[1] / much, felt[2] / much))
+        if wz == 0.0:
+            rates = tuple([rate * much for rate in push.rates])
+        else:
+            rates = tuple([a * x + b * y + c * z for a, b, c in self._rows])
+        part, inertia = push.part * much, self._losses.inertia
+        pushed = much if part <= 1.0 else much / part  # a stop that nobody commanded: what is not given nobody pushes
+        torques = tuple([torque * pushed + inertia * rate for torque, rate in zip(push.torques, rates)])
+        bears = tuple([rest + shift * much for rest, shift in zip(self._bears, push.shifts)])
+        return _made((torques, felt, rates, bears, launch))
 
     def _expected(self, measured: Measured) -> Sequence[float]:
         """Rad/s that the wheels had when they were measured, by what they were told before."""
         told, dt = self._told, measured.dt
         if told is None:
             return self._turning
+        period_ns = dt * 1e9
         return [
-            speed if age_ns is None else speed - rate * min(age_ns * 1e-9, dt)
+            speed if age_ns is None else speed - rate * (age_ns * 1e-9 if age_ns < period_ns else dt)
             for speed, rate, age_ns in zip(self._turning, told.rates, measured.ages_ns)
         ]
 
     def _bounds_now(
         self,
         told: Told | None,
+        before: Told | None,
         speeds: Sequence[float],
         expected: Sequence[float],
         measured: Measured,
@@ -284,7 +314,7 @@ class LaunchLaw:
             self._held = 0.0
         if self._held <= 0.0:
             return self._free
-        bounds = self._bounds(told or self._rest, speeds)
+        bounds = self._bounds(told or self._rest, before or self._rest, speeds)
         if told is None or not told.launch:
             self._held -= measured.dt
             if self._caught_up(bounds, expected, measured):
@@ -310,32 +340,26 @@ class LaunchLaw:
         return tuple(
             [
                 JointCommand(_VELOCITY, then if hosted else speed, torque if able else 0.0, bound if limited else None)
-                for speed, then, torque, bound, (able, limited, hosted, _, _) in zip(
+                for speed, then, torque, bound, (able, limited, hosted, *_) in zip(
                     speeds, expected, told.torques, bounds, self._pushers
                 )
             ]
         )
 
-    def _bounds(self, told: Told, speeds: Sequence[float]) -> list[float]:
-        """N m that each wheel may have: with which it slips, and what does not reach the floor."""
-        x, y, _ = told.gained
-        grip, (inertia, friction, drag) = self.friction, self._losses
+    def _bounds(self, told: Told, before: Told, speeds: Sequence[float]) -> list[float]:
+        """N m that each wheel may have: with which it slips, and what does not reach the floor.
+
+        The load of a wheel is the least of this cycle and the one before: the robot follows a little later.
+        """
+        inertia, friction, drag = self._losses
         return [
-            grip * r * max(0.0, load + shift_x * x + shift_y * y) + inertia * abs(rate) + friction * abs(speed) + drag
-            for r, load, (shift_x, shift_y), rate, speed in zip(
-                self._radii, self._grip.resting, self._grip.shifts, told.rates, speeds
-            )
+            max(0.0, one if one < other else other) + inertia * abs(rate) + friction * abs(speed) + drag
+            for one, other, rate, speed in zip(told.bears, before.bears, told.rates, speeds)
         ]
 
     def _torques_of(self, cone: Cone) -> tuple[Three, ...]:
-        """N m of each wheel per acceleration of the body, its own inertia included."""
-        inertia = self._losses.inertia
-        return tuple(
-            [
-                (r * x + inertia * a, r * y + inertia * b, r * z + inertia * c)
-                for r, (x, y, z), (a, b, c) in zip(self._radii, cone.forces, self._rows, strict=True)
-            ]
-        )
+        """N m of each wheel per acceleration of the body, without its own inertia."""
+        return tuple([(r * x, r * y, r * z) for r, (x, y, z) in zip(self._radii, cone.forces, strict=True)])
 
     # a launch that slips all the same
 
@@ -346,7 +370,11 @@ class LaunchLaw:
         self._cones = tuple([cone.limit for cone in cones])
         self._limits = (*self._cones, *self._lifting)
         self._torques = tuple([self._torques_of(cone) for cone in cones])
-        self._push = _push((1.0, 0.0, 0.0), self._cones, self._lifting)
+        pairs = [(friction * r, shift) for r, shift in zip(self._radii, self._grip.shifts, strict=True)]
+        self._shifts = tuple([(lever * x, lever * y) for lever, (x, y) in pairs])
+        self._bears = tuple([lever * load for (lever, _), load in zip(pairs, self._grip.resting, strict=True)])
+        self._rest = Told(self._still, _NONE, self._still, self._bears, launch=False)
+        self._push = self._sharing((1.0, 0.0, 0.0))
 
     def _backed_off(self, told: Told, expected: Sequence[float], measured: Measured) -> tuple[Event, ...]:
         """Take the floor for worse once wheels have slipped; what is told of it."""
@@ -355,6 +383,7 @@ class LaunchLaw:
         if given is None or before <= least:
             return ()
         self._learn(max(least, _SAFE * given))
+        self._told = None
         text = f"wheels slipped: friction is taken for {self.friction:.2f}, no longer {before:.2f}"
         return (Event(Level.WARNING, SLIPPED, text),)
 
@@ -398,6 +427,11 @@ class LaunchLaw:
         )
 
 
+def _same(one: Three, other: Three) -> bool:
+    """Whether these accelerations are the same but for rounding."""
+    return abs(one[0] - other[0]) < _ROUNDING and abs(one[1] - other[1]) < _ROUNDING and one[2] == other[2]
+
+
 def _velocities(speeds: Sequence[float]) -> tuple[JointCommand, ...]:
     return tuple([JointCommand(_VELOCITY, speed) for speed in speeds])
 
@@ -417,21 +451,3 @@ def _turned(speeds: Sequence[float], measured: Sequence[float | None]) -> float:
 
 def _limits(share: float) -> tuple[str, ...]:
     return () if share == 1.0 else ("motor_speed",)
-
-
-def _push(way: Three, cones: Sequence[Three], lifting: Sequence[Three]) -> Push:
-    """In the cone that the way is in."""
-    x, y, z = way
-    most, found = 0.0, 0
-    for index, (a, b, c) in enumerate(cones):
-        part = a * x + b * y + c * z
-        if part > most:
-            most, found = part, index
-    return Push(way, max(most, part_of(lifting, way)), found)
-
-
-def _least_norm(grip: Grip, radii: Sequence[float]) -> tuple[tuple[float, float], ...]:
-    """N m of each wheel per m/s^2 forward and to the left, of least norm: for turning, which takes little."""
-    mass = grip.masses[0]
-    inverse = pseudo_inverse(transpose(grip.rows))
-    return tuple([(r * mass * row[0], r * mass * row[1]) for r, row in zip(radii, inverse, strict=True)])

@@ -6,21 +6,25 @@ Wheels that slip under speed control turn about as they are told. But the floor 
 its share of the push, though it is not behind its setpoint, as one would be whose motor cannot. Where no torque is told
 the wheel must run ahead. What the floor gave is the impulse of the motors less what the wheels took for themselves: a
 speed loop that has lost the inertia of the robot swings, so that no single torque tells.
-Only while the robot speeds up: of one that is braked it is not known as well what resists it. And once the friction is
-taken for less the wheels have time to grip again, or the end of one slip would be taken for another.
+Only while the robot speeds up straight on: in a curve shares change all the time, and of one that is braked it is not
+known as well what resists it. And once the friction is taken for less the wheels have time to grip again, or the end of
+one slip would be taken for another.
 """
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from gateway.control.drive_law import Measured
-from gateway.control.grip import Grip, Three
+from gateway.control.grip import Grip, Push, Three
 
-SHORT: Final = 0.15  # of its grip, by which a wheel that slips is pushed back less than it is to push
+SHORT: Final = 0.2  # of its grip, by which a wheel that slips is pushed back less than it is to push
 BEHIND: Final = 0.01  # of top speed: a wheel further behind its setpoint lacks torque
 AHEAD: Final = 0.01  # of top speed, by which a wheel that slips runs ahead, where no torque is told
 LOOK_TIME: Final = 0.04  # s, from one look to the next
+TOLD: Final = 0.4  # of the cycles in which a torque must be another one: many tell it more seldom than speed
 PAUSE: Final = 0.12  # s, after one that found slip
+MOTOR_SHARE: Final = 0.98  # of a motor's torque that a launch takes; the rest is for its speed control and friction
+_LEAST: Final = 1e-3  # N m
 BACK_OFF: Final = 0.85  # of the friction, where what the floor gave is not known
 
 
@@ -31,33 +35,23 @@ class Losses(NamedTuple):
     friction: float
     drag: float
 
+    def push(self, torque: float, radius: float) -> Push:
+        """What is left of a motor's torque, N m, at the rim of a wheel that does not turn fast yet."""
+        return Push(max(_LEAST, MOTOR_SHARE * torque - self.drag) / radius, self.inertia / (radius * radius))
+
 
 class Told(NamedTuple):
-    """Of a cycle that pushed: N m of each wheel, the acceleration of the body and, rad/s^2, of the wheels.
+    """Of a cycle that pushed: N m of each wheel, the acceleration that the body feels and, rad/s^2, of the wheels.
 
+    `bears`: N m with which each wheel would slip.
     `launch`: the floor is what limits it, and not a stop that nobody commanded.
     """
 
     torques: tuple[float, ...]
-    gained: Three
+    felt: Three
     rates: tuple[float, ...]
+    bears: tuple[float, ...]
     launch: bool
-
-
-class _Wheel:
-    """State owner: one wheel since the look began. The sums are over time."""
-
-    __slots__ = ("ahead", "begun", "known", "push", "torque")
-
-    def __init__(self) -> None:
-        self.begun: float | None = None  # rad/s
-        self.known = True  # its torque
-        self.torque = self.push = self.ahead = 0.0  # N m s told and meant for the floor, rad
-
-    def begin(self, speed: float | None) -> None:
-        """Nothing has been yet."""
-        self.begun, self.known = speed, True
-        self.torque = self.push = self.ahead = 0.0
 
 
 class LaunchSlip:
@@ -69,60 +63,96 @@ class LaunchSlip:
         self._radii = tuple(radii)
         self._losses = losses
         self._top_speeds = tuple(top_speeds)
-        self._wheels = tuple([_Wheel() for _ in radii])
         self._looking = False
-        self._time = 0.0  # s, of this look
-        self._pause = 0.0  # s, until the next
+        self._pause = 0.0  # s, until the next look
+        self._given: list[float] = []  # N m s meant for wheel and floor
+        self._ahead: list[float] = []  # rad
+        self._begin((), ())
 
     def look(self, told: Told, expected: Sequence[float], measured: Measured, friction: float) -> float | None:
         """What friction the floor gave, where wheels slipped; `expected`: rad/s that they should turn."""
-        dt, inertia = measured.dt, self._losses.inertia
-        self._pause = max(0.0, self._pause - dt)
-        if self._pause > 0.0 or not _speeds_up(told.rates, measured.speeds):
-            self._looking = False
+        if self._pause > 0.0:
+            self._pause -= measured.dt
             return None
         if not self._looking:
-            self._looking, self._time = True, 0.0
-            for wheel, speed in zip(self._wheels, measured.speeds):
-                wheel.begin(speed)
+            if not _speeds_up(told.rates, measured.speeds):
+                return None
+            self._looking = True
+            self._begin(measured.speeds, expected)
             return None
+        dt = measured.dt
         self._time += dt
-        for index, wheel in enumerate(self._wheels):
-            speed, torque = measured.speeds[index], measured.torques[index]
-            wheel.push += dt * (told.torques[index] - inertia * told.rates[index])
-            if torque is None:
-                wheel.known = False
-            else:
-                wheel.torque += dt * torque
-            if speed is not None:
-                wheel.ahead += dt * (speed - expected[index])
-        return self._judge(told.gained, measured, friction) if self._time >= LOOK_TIME else None
+        self._torques.append(measured.torques)
+        self._given = [all_ + dt * torque for all_, torque in zip(self._given, told.torques)]
+        self._ahead = [
+            all_ + dt * (0.0 if is_ is None else is_ - due)
+            for all_, is_, due in zip(self._ahead, measured.speeds, expected)
+        ]
+        return self._judge(told, measured, expected, friction) if self._time >= LOOK_TIME else None
+
+    def _begin(self, speeds: Sequence[float | None], expected: Sequence[float]) -> None:
+        """Nothing has been yet. The sums are over time."""
+        count = len(self._radii)
+        self._time = 0.0  # s
+        self._begun = tuple(speeds), tuple(expected)  # rad/s that the wheels turned, and were to
+        self._torques: list[tuple[float | None, ...]] = []  # N m told
+        self._given, self._ahead = [0.0] * count, [0.0] * count
 
     def forget(self) -> None:
         """There is no launch."""
         self._looking = False
 
-    def _judge(self, gained: Three, measured: Measured, friction: float) -> float | None:
-        slips, given = measured.slipping, 0.0
-        for index, wheel in enumerate(self._wheels):
-            speed, pressed = measured.speeds[index], self._pressed(index, gained)
-            if wheel.begun is None or speed is None or wheel.push * speed < 0.0:
+    def _judge(self, told: Told, measured: Measured, expected: Sequence[float], friction: float) -> float | None:
+        self._looking = False
+        if not _speeds_up(told.rates, measured.speeds):
+            return None
+        begun, due = self._begun
+        pushed = [self._pushed(index, first, now) for index, (first, now) in enumerate(zip(begun, measured.speeds))]
+        felt = self._driven(pushed, told.felt)
+        slips, most, given = measured.slipping, 0.0, 0.0
+        for index, (first, now, torque) in enumerate(zip(begun, measured.speeds, pushed)):
+            push = (self._given[index] - self._losses.inertia * (expected[index] - due[index])) / self._time
+            if first is None or now is None or push * now < 0.0 or push * first < 0.0:
                 continue
-            sign = 1.0 if wheel.push > 0.0 else -1.0
-            ahead = sign * wheel.ahead / self._time / self._top_speeds[index]
-            if not wheel.known:
+            sign = 1.0 if push > 0.0 else -1.0
+            ahead = sign * self._ahead[index] / self._time / self._top_speeds[index]
+            if torque is None:
                 slips = slips or ahead > AHEAD
                 continue
-            pushed = sign * (wheel.torque - self._losses.inertia * (speed - wheel.begun)) / self._time
-            pushed -= self._losses.drag + self._losses.friction * abs(speed)
-            given = max(given, pushed / pressed)
-            short = sign * wheel.push / self._time - pushed
-            slips = slips or (ahead > -BEHIND and short > SHORT * friction * pressed)
-        self._looking = False
+            pressed = self._pressed(index, felt)
+            most = max(most, sign * torque / pressed)
+            if ahead > -BEHIND and sign * (push - torque) > SHORT * friction * pressed:
+                slips, given = True, max(given, sign * torque / pressed)
         if not slips:
             return None
         self._pause = PAUSE
+        given = given or most
         return min(given, friction) if given > 0.0 else BACK_OFF * friction
+
+    def _pushed(self, index: int, first: float | None, now: float | None) -> float | None:
+        """N m that came to the floor, in the mean; None: the torque is not told, or not often enough."""
+        told, anew, last = 0.0, 0, None
+        for torques in self._torques:
+            torque = torques[index]
+            if torque is None:
+                return None
+            told, anew, last = told + torque, anew + (torque != last), torque
+        count = len(self._torques)
+        if first is None or now is None or anew < TOLD * count:
+            return None
+        mean, (inertia, friction, drag) = 0.5 * (first + now), self._losses
+        drag = drag if mean > 0.0 else -drag if mean < 0.0 else 0.0
+        return told / count - inertia * (now - first) / self._time - friction * mean - drag
+
+    def _driven(self, torques: Sequence[float | None], told: Three) -> Three:
+        """By which these sped the body up, m/s^2; what was told where one is not known."""
+        ax = ay = 0.0
+        for torque, radius, (x, y, _) in zip(torques, self._radii, self._grip.rows):
+            if torque is None:
+                return told
+            ax, ay = ax + torque / radius * x, ay + torque / radius * y
+        mass = self._grip.masses[0]
+        return (ax / mass, ay / mass, told[2])
 
     def _pressed(self, index: int, gained: Three) -> float:
         """N m with which a wheel would slip per unit of friction; a trifle for one that lifts."""

@@ -124,9 +124,16 @@ def _pusher(motor: Motor, joint: Capabilities, loop: SpeedLoop | None) -> Pusher
     """At the output. A voltage is for a motor whose speed control takes no torque besides."""
     given = motor.winding
     if given is None or not joint.voltage or joint.feed_forward:
-        return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None)
+        return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None, torque=motor.max_torque)
     winding = Winding(given.resistance, given.back_emf * motor.gear_ratio)
-    return Pusher(joint.feed_forward, joint.limit, hosted=loop is not None, winding=winding, supply=given.voltage)
+    return Pusher(
+        joint.feed_forward,
+        joint.limit,
+        hosted=loop is not None,
+        torque=motor.max_torque,
+        winding=winding,
+        supply=given.voltage,
+    )
 
 
 def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:

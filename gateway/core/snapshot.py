@@ -74,12 +74,10 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
     ),
-    "gateway.control.launch_slip._Wheel": frozenset(),
     "gateway.control.launch_slip.LaunchSlip": frozenset({"_grip", "_losses", "_radii", "_top_speeds"}),
     "gateway.control.launch.LaunchLaw": frozenset(
         {
             "_acceleration",
-            "_curves",
             "_features",
             "_free",
             "_given",
@@ -88,7 +86,6 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
             "_losses",
             "_pushers",
             "_radii",
-            "_rest",
             "_rows",
             "_steps",
             "_still",

@@ -1,8 +1,8 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, pull, slip, verify, sessions, live, recorder, plant, laws). Peers are measured side by
-side with what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one. Aims with
-two numbers are for the compiled core and for pure Python: the first line says which it is.
+NAME: only these parts (cycle, pull, slip, launch, verify, sessions, live, recorder, plant, laws). Peers are measured
+side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one.
+Aims with two numbers are for the compiled core and for pure Python: the first line says which it is.
 """
 
 import json
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from gateway.build import COMPILED, FORM
-from tests.bench import cycle, laws, live, plant, pull_law, recorder, sessions, slip, verify
+from tests.bench import cycle, launch, laws, live, plant, pull_law, recorder, sessions, slip, verify
 from tests.laws import ALL_LAWS
 from tests.world import NAMES
 
@@ -21,6 +21,10 @@ PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
     "slip": (
         "slip check, us of each cycle of omni4 (`python -m tests.bench.slip` looks for false alarms)",
         slip.measure,
+    ),
+    "launch": (
+        "no-slip launch, us of each cycle of omni4 (`python -m tests.bench.launch` launches in eight directions)",
+        launch.measure,
     ),
     "verify": ("replay verify at 1 kHz, in multiples of real time", verify.measure),
     "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
@@ -63,6 +67,7 @@ AIMS: Mapping[str, Aim] = {
     "pull_added_us": Aim("speed_law_us", most=5.0),
     "ability_limping_us": Aim("ability_us"),
     "slip_us": Aim(most=4.0),
+    "launch_us": Aim(most=8.0),
     **dict(_verify_aims()),
     **dict(_session_aims()),
     "plant_step_us_moby_dynamics": Aim(most=300.0),

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.control.grip import Grip, GripError, part_of, room
+from gateway.control.grip import Grip, GripError, Push, part_of, room
 
 MASS, INERTIA, HEIGHT, RADIUS, ROTOR = 25.0, 0.9, 0.10, 0.0762, 0.004  # omni4; kg, kg m^2, m, m, kg m^2
 WEIGHT = 25.0 * 9.81
@@ -136,6 +136,38 @@ def test_in_proportion_every_wheel_still_grips(name: str, direction: Three, size
             assert forces == pytest.approx(least.forces, abs=1e-6 * friction * WEIGHT)
         loads = friction * np.array(one.loads(*(size * furthest_of[:2])))
         assert np.all(size * np.abs(forces) <= loads + 1e-6)
+
+
+@pytest.mark.parametrize("name", ["omni4", "asymmetric", "plus", "three", "eccentric"])
+@settings(max_examples=60, deadline=None)
+@given(direction=directions, force=st.floats(8.0, 80.0), friction=st.sampled_from([0.3, 0.8]))
+def test_where_motors_give_less_than_the_floor_both_limit(
+    name: str, direction: Three, force: float, friction: float
+) -> None:
+    """At the limit no wheel is asked for more than either gives, and no forces would do more (weak duality)."""
+    poses, inertia = LAYOUTS[name], 0.5
+    matrix = np.array(rows(poses))
+    places = [(x, y) for x, y, _ in poses]
+    pushes = [Push(force, inertia)] * len(poses)
+    one = Grip(rows(poses), places, mass=MASS, inertia=INERTIA, height=0.08, pushes=pushes)
+    cone = max(one.cones(friction), key=lambda cone: float(np.dot(cone.limit, direction)))
+    factor = 1.0 / max(float(np.dot(cone.limit, direction)), part_of(one.lifting(), direction))
+    reached = np.array(direction) * factor
+    forces, wrench = np.array(cone.forces) @ reached, np.array([MASS, MASS, INERTIA]) * reached
+    assert matrix.T @ forces == pytest.approx(wrench, abs=1e-7)
+    loads, gained = np.array(one.loads(*reached[:2])), matrix @ reached
+    assert np.all(np.abs(forces) <= friction * loads + 1e-6)
+    assert np.all(np.abs(forces + inertia * gained) <= force + 1e-6)
+    if np.dot(cone.limit, reached) > 0.999999:
+        best = inf
+        for a, b in combinations(matrix, 2):
+            normal = np.cross(a, b)
+            if np.linalg.norm(normal) > 1e-9:
+                normal *= np.sign(normal @ wrench) or 1.0
+                sides = np.sign(np.round(matrix @ normal, 9))
+                most = np.minimum(friction * loads, force - inertia * sides * gained)
+                best = min(best, float(most @ np.abs(matrix @ normal)) / max(abs(float(normal @ wrench)), 1e-12))
+        assert best == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

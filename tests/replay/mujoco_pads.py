@@ -8,7 +8,8 @@ cone is not used, for under gross slip it inflates the loads. What one newton do
 inertia matrix, the body level: nothing here knows how omni wheels make a body move.
 """
 
-from math import pi
+from collections.abc import Sequence
+from math import atan2, hypot, pi
 from typing import Any
 
 import mujoco
@@ -16,12 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.chassis.omni import OmniRobot
+from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants import plant_of
 
 Array = NDArray[np.float64]
 HUB_MASS = 0.01  # kg; a disc. What joint_inertia has beyond it is a geared rotor's, whose spin tips no body
 SETTLING, ROUNDS = 0.5, 60
 SAME_FORCE = 1e-9  # N
+CREEP = 0.05  # m/s
+DRAG_SPEED = 0.05  # rad/s below which dry friction fades
 LEVEL = (0, 1, 5)  # of the free joint: what a level body can do
 
 
@@ -68,7 +73,7 @@ class MujocoPads:
         """m/s of each rim over the floor."""
         return np.asarray(-self._rows() @ self._data.qvel)
 
-    def step(self, torques: list[float]) -> None:
+    def step(self, torques: Sequence[float]) -> None:
         """One step of the motors' torques, N m, and of the floor."""
         limits, data = self._friction * self.loads, self._data
         data.qfrc_applied[:] = 0.0
@@ -140,3 +145,81 @@ def _xml(robot: OmniRobot) -> str:
     <body name="body"><freejoint/>
     <inertial pos="0 0 {height}" mass="{mass}" diaginertia="{inertia / 1.5} {inertia / 1.5} {inertia}"/>
     {"".join(wheels)}</body></worldbody><contact>{"".join(pairs)}</contact></mujoco>"""
+
+
+class PadsPlant:
+    """Such a robot as a plant of the simulated world, with the losses of the robot file at the joints."""
+
+    def __init__(self, robot: OmniRobot, friction: float) -> None:
+        self._pads = MujocoPads(robot, friction)
+        self._model, self._data = self._pads._model, self._pads._data
+        self.push = self.slope = 0.0
+        self.wheels = tuple(range(len(robot.wheel)))
+        self.reflected_inertia = plant_of(robot).reflected_inertia  # what the controllers were tuned to
+        self._body = robot.body
+        self._places = [int(self._model.joint(f"joint{place}").qposadr[0]) for place in self.wheels]
+        self._origin = self._data.qpos[:2].copy()
+
+    @property
+    def twist(self) -> Twist:
+        """Body twist."""
+        return Twist(*map(float, self._pads.twist))
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """Joint rates, rad/s."""
+        return tuple(map(float, self._pads.rates))
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Of the joints, rad."""
+        return tuple(float(self._data.qpos[place]) for place in self._places)
+
+    @property
+    def chassis_angle(self) -> float:
+        """World angle of the body, within half a turn."""
+        w, _, _, z = self._data.qpos[3:7]
+        return 2.0 * atan2(float(z), float(w))
+
+    @property
+    def pose(self) -> Pose:
+        """Since the start."""
+        x, y = self._data.qpos[:2] - self._origin
+        return Pose(float(x), float(y), self.chassis_angle)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic energy, J."""
+        mujoco.mj_energyVel(self._model, self._data)
+        return float(self._data.energy[1])
+
+    @property
+    def slipping(self) -> tuple[int, ...]:
+        """Wheels faster or slower over the ground than they creep."""
+        return tuple(int(place) for place in np.flatnonzero(np.abs(self._pads.slips) > CREEP))
+
+    def place(self, angles: Sequence[float]) -> None:
+        """The joints stand there."""
+        self._data.qpos[self._places] = angles
+
+    def step(self, torques: Sequence[float]) -> None:
+        """One substep under constant joint torques."""
+        body = self._body
+        self._pads.step(
+            [
+                torque - body.joint_friction * rate - body.joint_drag * rate / hypot(rate, DRAG_SPEED)
+                for torque, rate in zip(torques, self.rates, strict=True)
+            ]
+        )
+
+    def can_slip(self, joint: int) -> bool:
+        """All can, on the floor that it was made with."""
+        return joint in self.wheels
+
+    def set_friction(self, joint: int, friction: float) -> None:
+        """It has one floor."""
+        raise ValueError("this floor is as it was made")
+
+    def set_mass(self, mass: float | None) -> None:
+        """It has its own."""
+        raise ValueError("this robot is as it was made")
