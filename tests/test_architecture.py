@@ -66,7 +66,7 @@ ROOMS: dict[str, set[str]] = {
             "gateway/core",
             "gateway/paths",
         ),
-        *("replay/drive", "replay/sim/plants"),
+        *("replay/drive", "replay/sim/controllers", "replay/sim/plants"),
     },
 }
 COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody but the entrance imports it

@@ -4,7 +4,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from replay.reproduce import arcs, drawing, hits, impact, kane, kane_tracking, rojas, straight, tables, torques
+from replay.reproduce import (
+    arcs,
+    drawing,
+    hits,
+    impact,
+    kane,
+    kane_paths,
+    kane_tracking,
+    rojas,
+    rojas_launch,
+    straight,
+    tables,
+    torques,
+)
 from replay.reproduce.result import Found, Result, Stage
 
 
@@ -27,6 +40,8 @@ EXPERIMENTS: dict[str, Experiment] = {
     "moby-fig15": Experiment("Figure 15: both experiments of section 8", hits.figure_15, 4),
     "rojas-fig4": Experiment("Figure 4: effective motors", rojas.figure_4, 3),
     "rojas-fig9": Experiment("Figure 9: what of the speed the rollers provide", rojas.figure_9, 5),
+    "rojas-fig10": Experiment("Figure 10: constant torque by voltage steps", rojas_launch.figure_10, 2),
+    "rojas-launch": Experiment("Sections 7 and 8: launched without slip", rojas_launch.launches, 10),
     "rojas-slip": Experiment("Section 9: wheels that slip", rojas.slip_table, 1),
     "rojas-dead": Experiment("Section 11: without one motor", rojas.dead_motors, 4),
     "kane-fig7": Experiment("Figure 7: along a diagonal while spinning", kane.figure_7, 2),
@@ -35,6 +50,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "kane-fig13": Experiment("Figures 13 to 18: along a figure eight", kane_tracking.figure_13, 2),
     "kane-fig19": Experiment("Figures 15 and 19 to 22: sharp corners", kane_tracking.figure_19, 3),
     "kane-fig24": Experiment("Figures 23 to 27: pushed on the figure eight", kane_tracking.figure_24, 2),
+    "kane-tracking": Experiment("Along paths: wheel control and the service's loop", kane_paths.tracking, 6),
 }
 
 

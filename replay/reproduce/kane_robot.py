@@ -1,7 +1,7 @@
 """The robot of ASME Lett. Dyn. Sys. Control 2(4):040902 in the service: its robot file, in SI, and driving it."""
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway.types import Pose
 from replay.drive.closed_loop import ClosedLoop
@@ -21,15 +21,20 @@ UNITS_NOTE = (
 )
 _SETTLED = 0.5  # s, after which a commanded velocity is reached
 _MOTORS = ("left", "right", "rear", "front")  # 1 to 4 of the paper
-_MOTOR = """variant = "c610"
-gear_ratio = 36.0
-max_current = 10.0
-max_torque = 1.8
-max_speed = 45.0
-speed_loop = { kp = 0.35, ki = 2.0 }"""
+MAX_TORQUE: Final = 1.8  # N m of a motor
 
 
-def kane_file() -> OmniFile:
+class Loop(NamedTuple):
+    """Gains of the service's speed loop, N m s/rad and N m/rad."""
+
+    kp: float
+    ki: float
+
+
+OWN_LOOP: Final = Loop(0.35, 2.0)
+
+
+def kane_file(loop: Loop = OWN_LOOP) -> OmniFile:
     """Its limits leave the commands as the experiments give them.
 
     Motors and their gains are ours (the paper has torques and no motor). A robot file knows one inertia for all joints:
@@ -44,7 +49,7 @@ def kane_file() -> OmniFile:
         inertia=robot.inertia,
         joint_inertia=sum(spins) / len(spins),
         wheels=tuple(_wheel(name, wheel) for name, wheel in zip(_MOTORS, robot.wheels, strict=True)),
-        motor=_MOTOR,
+        motor=_MOTOR.format_map(loop._asdict()),
         motor_speed=30.0,
         velocity={"vx": 1.0, "vy": 1.0, "wz": 6.0},
         acceleration={"vx": 5.0, "vy": 5.0, "wz": 40.0},
@@ -57,9 +62,10 @@ def driven(
     wanted: Callable[[float, Pose], Order],
     seconds: float,
     disturb: Callable[[ClosedLoop, float], None] = lambda loop, t: None,
+    loop: Loop = OWN_LOOP,
 ) -> Driven:
     """Driven through the service; `disturb`: what else happens before a cycle at this time, s."""
-    return drive_omni(stage, kane_file(), wanted, seconds, disturb)
+    return drive_omni(stage, kane_file(loop), wanted, seconds, disturb)
 
 
 def settled(samples: Sequence[Sample]) -> list[Sample]:
@@ -80,3 +86,11 @@ def _wheel(name: str, wheel: WheelParameters) -> FileWheel:
     roller = wheel.radius * ROLLER_SHARE
     mass = 2.0 * wheel.roller_inertia / (roller * roller)
     return FileWheel(name, wheel.x, wheel.y, wheel.axis_angle, wheel.radius, mass)
+
+
+_MOTOR = f"""variant = "c610"
+gear_ratio = 36.0
+max_current = 10.0
+max_torque = {MAX_TORQUE}
+max_speed = 45.0
+speed_loop = {{{{ kp = {{kp!r}}, ki = {{ki!r}} }}}}"""

@@ -32,7 +32,6 @@ SERVICE_NOTE = (
     "Through the service the wheels are under its own speed loops, with motors and gains that are ours, and whoever "
     "commands corrects the place with the odometry."
 )
-SHARE = 1.0  # of the way that is driven through the service; the tests drive less
 _CATCH_UP = 4.0  # 1/s, by which the commander corrects where the odometry tells the robot to be
 _SIDE = 20.0  # in; printed (Eq. 26)
 _ROUND = 25.0  # s, of a figure eight: the printed 5 does not fit "50 s" (science E-004-7)
@@ -53,7 +52,11 @@ def figure_13(stage: Stage) -> Found:
         Row("largest error of the spin", "rad", max(abs(m.spin) for m in moments), 6e-6, "K5", at_most(6e-6)),
         Row("largest distance from the path, service", "in", beside, None, "", at_most(0.2)),
     )
-    panels = ((_map(figure_eight, 2.0 * _ROUND, moments, drive), _torques(moments)), (_errors(moments), _step_panel()))
+    panels = (
+        (_map(figure_eight, 2.0 * _ROUND, moments, drive), _torques(moments)),
+        (_errors(moments), _step_panel()),
+        (_wheel_errors(moments), _wheel_speeds(moments)),
+    )
     note = (
         "The printed gains of wheels 1 and 2 have a wrong digit (1778.55 for 1178.55): their poles show it (E-004-3)."
     )
@@ -81,7 +84,11 @@ def figure_19(stage: Stage) -> Found:
         Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), None, NOT_PRINTED),
         Row("largest distance from the path, service", "in", beside, None, "", at_most(0.5)),
     )
-    panels = ((_map(sharp_corners, 25.0, moments, drive), _torques(moments)), (_errors(moments),))
+    panels = (
+        (_map(sharp_corners, 25.0, moments, drive), _torques(moments)),
+        (_errors(moments), _wheel_errors(moments)),
+        (_velocities(drive),),
+    )
     return Found(
         rows,
         Picture("Figures 15 and 19 to 22: sharp corners", panels),
@@ -115,7 +122,11 @@ def figure_24(stage: Stage) -> Found:
         "[slug in/s^2]",
         lines=tuple(Line(f"along n{i + 1}", times, [pushes(t)[i] for t in times], i) for i in range(2)),
     )
-    panels = ((_map(figure_eight, 2.0 * _ROUND, moments, drive), given), (_errors(moments), _torques(moments)))
+    panels = (
+        (_map(figure_eight, 2.0 * _ROUND, moments, drive), given),
+        (_errors(moments), _torques(moments)),
+        (_wheel_errors(moments),),
+    )
     return Found(
         rows,
         Picture("Figures 23 to 27: pushed", panels),
@@ -164,7 +175,7 @@ def _follow(
         vx, vy = (v + _CATCH_UP * way for v, way in zip(motion.velocity, missing, strict=True))
         return Order(vx * INCH, vy * INCH)
 
-    drive = driven(stage, order, SHARE * seconds, lambda loop, t: loop.bus.robot.set_push(force(t)[0] * NEWTON))
+    drive = driven(stage, order, seconds, lambda loop, t: loop.bus.robot.set_push(force(t)[0] * NEWTON))
     distances = []
     for sample in drive.samples:
         wanted = reference(sample.t).place
@@ -215,13 +226,7 @@ def _map(reference: Reference, seconds: float, moments: Sequence[Moment], drive:
 
 
 def _torques(moments: Sequence[Moment]) -> Panel:
-    times = [moment.t for moment in moments]
-    return Panel(
-        "Torques",
-        "t [s]",
-        "[slug in^2/s^2]",
-        lines=tuple(Line(f"wheel {i + 1}", times, [m.torques[i] for m in moments], i) for i in range(4)),
-    )
+    return _of_wheels("Torques", "[slug in^2/s^2]", moments, [moment.torques for moment in moments])
 
 
 def _errors(moments: Sequence[Moment]) -> Panel:
@@ -233,6 +238,36 @@ def _errors(moments: Sequence[Moment]) -> Panel:
         lines=(
             Line("along n1", times, [m.error_x for m in moments]),
             Line("along n2", times, [m.error_y for m in moments], 1),
+        ),
+    )
+
+
+def _wheel_errors(moments: Sequence[Moment]) -> Panel:
+    """Figures 17, 20 and 25."""
+    return _of_wheels("Errors of the wheels", "[rad]", moments, [moment.wheel_errors for moment in moments])
+
+
+def _wheel_speeds(moments: Sequence[Moment]) -> Panel:
+    """Figure 14."""
+    return _of_wheels("Wheels", "[rad/s]", moments, [moment.wheels for moment in moments])
+
+
+def _of_wheels(title: str, unit: str, moments: Sequence[Moment], found: Sequence[Sequence[float]]) -> Panel:
+    times = [moment.t for moment in moments]
+    lines = tuple(Line(f"wheel {i + 1}", times, [one[i] for one in found], i) for i in range(4))
+    return Panel(title, "t [s]", unit, lines=lines)
+
+
+def _velocities(drive: Driven) -> Panel:
+    """Figure 22 b."""
+    times = [sample.t for sample in drive.samples]
+    return Panel(
+        "Figure 22 b: velocities, service",
+        "t [s]",
+        "[in/s]",
+        lines=(
+            Line("along n1", times, [s.vx / INCH for s in drive.samples]),
+            Line("along n2", times, [s.vy / INCH for s in drive.samples], 1),
         ),
     )
 

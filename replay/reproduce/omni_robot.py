@@ -25,7 +25,10 @@ class FileWheel(NamedTuple):
 
 
 class OmniFile(NamedTuple):
-    """What differs between these robots. `motor`: lines of each motor; `velocity` and the next two: limits by axis."""
+    """What differs between these robots. `motor`: lines of each motor; `velocity` and the next two: limits by axis.
+
+    `centre_height`: m, None: unsaid; `friction`: of the floor, for launches, None: none are made.
+    """
 
     title: str
     name: str
@@ -38,6 +41,8 @@ class OmniFile(NamedTuple):
     velocity: Mapping[str, float]
     acceleration: Mapping[str, float]
     jerk: Mapping[str, float]
+    centre_height: float | None = None
+    friction: float | None = None
 
 
 def robot_file(file: OmniFile) -> tuple[RobotConfig, str]:
@@ -48,6 +53,8 @@ def robot_file(file: OmniFile) -> tuple[RobotConfig, str]:
         | {
             "motor_speed": _inline({wheel.motor: file.motor_speed for wheel in file.wheels}),
             "wheels": "".join(map(_wheel, file.wheels)),
+            "height": "" if file.centre_height is None else f"centre_height = {file.centre_height!r}\n",
+            "grip": "" if file.friction is None else f"\n[robot.grip]\nfriction = {file.friction!r}\n",
             "motors": "".join(
                 _MOTOR.format(name=wheel.motor, number=number, lines=file.motor)
                 for number, wheel in enumerate(file.wheels, start=1)
@@ -103,7 +110,7 @@ inertia = {inertia!r}
 joint_friction = 0.0
 joint_drag = 0.0
 joint_inertia = {joint_inertia!r}
-{wheels}
+{height}{wheels}{grip}
 [loop]
 rate = 250.0
 

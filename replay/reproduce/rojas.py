@@ -21,12 +21,14 @@ from replay.reproduce.rojas_robot import (
     TORQUE,
     WHEEL_RADIUS,
     Layout,
+    ahead,
     driven,
     rim_speeds,
     rojas_file,
+    towards,
     wheel_directions,
 )
-from replay.reproduce.service import Driven, Order, Sample
+from replay.reproduce.service import Driven, Sample
 
 NOT_PRINTED = "not printed"
 ALL = (True,) * len(MOTORS)
@@ -176,7 +178,7 @@ def slip_table(stage: Stage) -> Found:
             )
         )
     stage.tell("through the service, onto oil")
-    drive = driven(stage, SYMMETRIC, lambda t, _: _towards(90.0, _TOP), 2.0, acceleration=4.0, disturb=_oil)
+    drive = driven(stage, SYMMETRIC, lambda t, _: towards(90.0, _TOP), 2.0, acceleration=4.0, disturb=_oil)
     tells = [_slip(SYMMETRIC, [WHEEL_RADIUS * rate for rate in sample.rates]) for sample in drive.samples]
     real = [_real_slip(sample) for sample in drive.samples]
     worst = max(range(len(real)), key=lambda at: max(map(abs, real[at])))
@@ -230,7 +232,7 @@ def dead_motors(stage: Stage) -> Found:
         half = _motors(SYMMETRIC, 90.0, usable) / _motors(SYMMETRIC, 90.0)
         stage.tell(f"through the service, without {name}")
         drive = driven(
-            stage, SYMMETRIC, lambda t, _: _towards(90.0, 0.5 * _TOP if t < 1.0 else _TOP), 3.0, disturb=_dying(name)
+            stage, SYMMETRIC, lambda t, _: towards(90.0, 0.5 * _TOP if t < 1.0 else _TOP), 3.0, disturb=_dying(name)
         )
         sessions[f"without {name}"], drives[name] = drive.session, drive
         end = drive.samples[-1]
@@ -312,19 +314,19 @@ def _motors(layout: Layout, direction: float, usable: Sequence[bool] = ALL) -> f
 
 
 def _steadily(stage: Stage, layout: Layout, direction: float) -> Driven:
-    return driven(stage, layout, lambda t, _: _towards(direction, _TOP), 1.5, acceleration=3.0)
+    return driven(stage, layout, lambda t, _: towards(direction, _TOP), 1.5, acceleration=3.0)
 
 
 def _speeding_up(stage: Stage, direction: float, acceleration: float) -> Driven:
     """To full speed in a direction with so many m/s^2."""
-    x, y = _ahead(direction)
+    x, y = ahead(direction)
     limit = acceleration * max(abs(x), abs(y))  # of each axis: the direction is kept, so the larger one bounds it
-    return driven(stage, SYMMETRIC, lambda t, _: _towards(direction, _TOP), 1.0, acceleration=limit)
+    return driven(stage, SYMMETRIC, lambda t, _: towards(direction, _TOP), 1.0, acceleration=limit)
 
 
 def _told_motors(drive: Driven, direction: float) -> float:
     """Effective motors, from the mean torque and the acceleration in the middle of speeding up."""
-    x, y = _ahead(direction)
+    x, y = ahead(direction)
     middle = [s for s in drive.samples if 0.3 * _TOP < x * s.vx + y * s.vy < 0.8 * _TOP]
     first, last = middle[0], middle[-1]
     acceleration = (x * (last.vx - first.vx) + y * (last.vy - first.vy)) / (last.t - first.t)
@@ -332,19 +334,8 @@ def _told_motors(drive: Driven, direction: float) -> float:
     return MASS * acceleration * WHEEL_RADIUS / torque
 
 
-def _ahead(direction: float) -> tuple[float, float]:
-    """Forward and to the left, of a direction in deg from the right-hand side."""
-    angle = radians(direction) - pi / 2.0
-    return cos(angle), sin(angle)
-
-
-def _towards(direction: float, speed: float) -> Order:
-    x, y = _ahead(direction)
-    return Order(speed * x, speed * y)
-
-
 def _roller_share(layout: Layout, direction: float) -> float:
-    speeds = rim_speeds(layout, *_ahead(direction))
+    speeds = rim_speeds(layout, *ahead(direction))
     return 1.0 - sqrt(sum(speed * speed for speed in speeds) / len(speeds))
 
 

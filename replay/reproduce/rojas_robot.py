@@ -13,12 +13,17 @@ from replay.drive.closed_loop import ClosedLoop
 from replay.reproduce.omni_robot import FileWheel, OmniFile, drive_omni
 from replay.reproduce.result import Stage
 from replay.reproduce.service import Driven, Order
+from replay.sim.controllers.dc_motor import DcMotor
 
 MASS: Final = 25.0  # kg
 TORQUE: Final = 4.5  # N m of a motor at the wheel
 WHEEL_RADIUS: Final = 0.0762  # m
 FORCE: Final = TORQUE / WHEEL_RADIUS  # N that a motor pushes with at most
 CIRCLE: Final = 0.2  # m, of the wheels
+DIRECT_MASS: Final = 8.0  # kg, of the robot on motors that take a voltage
+DIRECT_RADIUS: Final = 0.0508  # m, of its wheels
+WINDING: Final = DcMotor(resistance=8.7, constant=0.741)  # of its motors, GM6020
+SUPPLY: Final = 24.0  # V
 MOTORS: Final = ("front_right", "front_left", "rear_left", "rear_right")  # 1 to 4 of the paper
 
 
@@ -46,12 +51,31 @@ def rojas_file(layout: Layout, *, acceleration: float = 2.0) -> OmniFile:
         mass=MASS,
         inertia=0.9,
         joint_inertia=0.0004,
-        wheels=tuple(_wheel(name, axle - pi / 2.0) for name, axle in zip(MOTORS, layout.axles, strict=True)),
+        wheels=_wheels(layout, WHEEL_RADIUS),
         motor=_MOTOR,
         motor_speed=45.0,
         velocity={"vx": 2.0, "vy": 2.0, "wz": 4.0},
         acceleration={"vx": acceleration, "vy": acceleration, "wz": 6.0},
         jerk={"vx": 100.0 * acceleration, "vy": 100.0 * acceleration, "wz": 40.0},
+    )
+
+
+def direct_drive_file(*, centre_height: float | None, friction: float | None) -> OmniFile:
+    """A lighter one on motors that take a voltage, eager to speed up; `friction`: of the floor, as it is told it."""
+    return OmniFile(
+        title="A four-wheeled robot of Rojas, Omnidirectional Control (2005), on motors that take a voltage. SI units.",
+        name="rojas_volts",
+        mass=DIRECT_MASS,
+        inertia=0.15,
+        joint_inertia=0.0006,
+        wheels=_wheels(SYMMETRIC, DIRECT_RADIUS),
+        motor=_DIRECT_MOTOR,
+        motor_speed=24.0,
+        velocity={"vx": 1.4, "vy": 1.4, "wz": 4.0},
+        acceleration={"vx": 9.0, "vy": 9.0, "wz": 30.0},
+        jerk={"vx": 150.0, "vy": 150.0, "wz": 400.0},
+        centre_height=centre_height,
+        friction=friction,
     )
 
 
@@ -78,8 +102,24 @@ def rim_speeds(layout: Layout, vx: float, vy: float, wz: float = 0.0) -> Sequenc
     return [x * vx + y * vy + CIRCLE * wz for x, y in wheel_directions(layout)]
 
 
-def _wheel(name: str, angle: float) -> FileWheel:
-    return FileWheel(name, CIRCLE * cos(angle), CIRCLE * sin(angle), angle, WHEEL_RADIUS)
+def ahead(direction: float) -> tuple[float, float]:
+    """Forward and to the left, of a direction in deg from the right-hand side."""
+    angle = radians(direction) - pi / 2.0
+    return cos(angle), sin(angle)
+
+
+def towards(direction: float, speed: float) -> Order:
+    """The velocity in such a direction."""
+    x, y = ahead(direction)
+    return Order(speed * x, speed * y)
+
+
+def _wheels(layout: Layout, radius: float) -> tuple[FileWheel, ...]:
+    angles = [axle - pi / 2.0 for axle in layout.axles]
+    return tuple(
+        FileWheel(name, CIRCLE * cos(angle), CIRCLE * sin(angle), angle, radius)
+        for name, angle in zip(MOTORS, angles, strict=True)
+    )
 
 
 _MOTOR = f"""variant = "c620"
@@ -88,3 +128,11 @@ max_current = 20.0
 max_torque = {TORQUE}
 max_speed = 48.0
 speed_loop = {{ kp = 3.5, ki = 14.0 }}"""
+_DIRECT_MOTOR = f"""variant = "gm6020"
+gear_ratio = 1.0
+max_current = 1.62
+max_torque = 1.2
+max_speed = 26.0
+speed_loop = {{ kp = 0.5, ki = 1.2 }}
+options = {{ mode = "voltage" }}
+winding = {{ resistance = {WINDING.resistance}, back_emf = {WINDING.constant}, voltage = {SUPPLY} }}"""
