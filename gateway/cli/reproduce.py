@@ -27,7 +27,7 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Directory for sessions, pictures and tables.")] = Path("reproduced"),
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
-    """Run experiments of the MOBY paper again, and compare.
+    """Run experiments of the papers again, and compare.
 
     Each writes its sessions, a picture and a table (paper, ours, difference) into OUT/NAME; --all also writes one page
     of everything, OUT/reproduction.html. Exit 1 where a row misses what it is allowed, or a robot does not start.

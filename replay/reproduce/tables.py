@@ -73,7 +73,7 @@ def _allowed(row: Row) -> str:
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>The experiments of the MOBY paper, run again</title>
+<title>The experiments of the papers, run again</title>
 <style>
 body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; color: #1b1b1b;
   background: #fff; }}
@@ -84,7 +84,7 @@ td:nth-child(3), td:nth-child(4), td:nth-child(5) {{ text-align: right; white-sp
 tr.missed {{ background: #fde0e0; }}
 section {{ margin-top: 3rem; }}
 </style></head><body>
-<h1>The experiments of the MOBY paper, run again</h1>
+<h1>The experiments of the papers, run again</h1>
 <p>preprints202312.1327, <cite>Driving Strategies for Omnidirectional Mobile Robots with Offset Differential
 Wheels</cite>. <b>{summary}.</b> A dash under "paper": the paper does not print it. "Service": through command, engine,
 CAN, simulated controllers and plant, recorded; "kinematics" and "set A" to "set D": computed directly.</p>
