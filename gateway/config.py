@@ -1,17 +1,20 @@
 """The robot file: TOML, everything in SI, unknown keys rejected. What people type is checked here, once."""
 
+import re
 import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from gateway.chassis import AnyRobot
 from gateway.sections import Limit, Name, NonNegative, Positive, Rate, Section
 from gateway.types import PLANAR, Rates, SensorKind, Twist
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
+_WORDS = {"missing": "missing", "extra_forbidden": "unknown key"}  # by type of error; the others have good ones
 _File = TypeVar("_File", bound=BaseModel)
 
 
@@ -24,6 +27,19 @@ def _plain(value: object) -> object:
     raise ValueError(message)
 
 
+def _with_port(endpoint: str) -> str:
+    """An endpoint of Zenoh; only its form is looked at here."""
+    protocol, _, address = endpoint.partition("/")
+    port = re.split("[?#]", address)[0].rpartition(":")[2]
+    numbered = port.isascii() and port.isdigit() and int(port) <= 65535
+    if not (protocol and address and (numbered or protocol not in _WITH_PORT)):
+        message = "must be a protocol and an address, with a port up to 65535: tcp/127.0.0.1:7447"
+        raise ValueError(message)
+    return endpoint
+
+
+_WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
+Endpoint = Annotated[str, Field(max_length=128), AfterValidator(_with_port)]
 Option = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
 
@@ -228,8 +244,8 @@ class Commands(Section):
 class Zenoh(Section):
     """Loopback only and no scouting unless said otherwise here."""
 
-    listen: list[Annotated[str, Field(max_length=128)]] = Field(default=["tcp/127.0.0.1:7447"])
-    connect: list[Annotated[str, Field(max_length=128)]] = Field(default=[])
+    listen: list[Endpoint] = Field(default=["tcp/127.0.0.1:7447"])
+    connect: list[Endpoint] = Field(default=[])
     multicast_scouting: bool = False
     config_file: Annotated[str, Field(max_length=256)] | None = None  # JSON5 of Zenoh itself: TLS, access control
     odometry_rate: Rate = 50.0
@@ -318,9 +334,7 @@ def parse_as(model: type[_File], text: str, origin: str) -> _File:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise ConfigError(
-            origin, [_problem(item["loc"], item["msg"], item["input"]) for item in error.errors()]
-        ) from None
+        raise ConfigError(origin, [_problem(item, document) for item in error.errors()]) from None
 
 
 def load(path: Path) -> tuple[RobotConfig, str]:
@@ -339,10 +353,25 @@ def read(path: Path) -> str:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
 
 
-def _problem(location: tuple[int | str, ...], message: str, value: object) -> str:
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
-    shown = "" if isinstance(value, dict | list) else f" = {value!r}"
-    return f"{key or 'file'}{shown}: {message.removeprefix('Value error, ')}"
+def _problem(found: ErrorDetails, document: object) -> str:
+    missing = found["type"] == "missing"
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in _typed(found["loc"], document))
+    key += f".{found['loc'][-1]}" if missing else ""
+    value = found["input"]
+    shown = "" if missing or isinstance(value, dict | list) else f" = {value!r}"
+    words = _WORDS.get(found["type"], found["msg"].removeprefix("Value error, "))
+    return f"{key.lstrip('.')}{shown}: {words}" if key else words
+
+
+def _typed(location: Iterable[int | str], document: object) -> list[int | str]:
+    """Of this location what stands in the file: in between are names of kinds that were tried."""
+    kept: list[int | str] = []
+    for part in location:
+        inside = dict(enumerate(document)) if isinstance(document, list) else document
+        if isinstance(inside, dict) and part in inside:
+            document = inside[part]
+            kept.append(part)
+    return kept
 
 
 def _duplicates(key: str, values: Iterable[object]) -> list[str]:

@@ -43,7 +43,10 @@ def open_client(name_or_file: str, connect: str | None, *, zero_on_exit: bool = 
     client = Client(robot, connect=[endpoint], zero_on_exit=zero_on_exit)
     if not client.wait_alive(ALIVE_TIMEOUT_S):
         client.close()
-        complain(f"{robot} does not answer on {endpoint}: is `drivegate run` up, and is this its endpoint?")
+        complain(
+            f"{robot} does not answer on {endpoint}: is `drivegate run` up, and is this its endpoint "
+            "(--connect, or its robot file as NAME)?"
+        )
         raise typer.Exit(EXIT_NO_ROBOT)
     return client
 

@@ -125,8 +125,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
     if stop_s > STOPPING_REFUSAL_S:
         overloaded.append(
             f"limits: a stop from top speed takes {stop_s:.1f} s and {stop_m:.1f} m; allowed up to "
-            f"{STOPPING_REFUSAL_S:g} s: raise limits.acceleration or limits.jerk, or lower limits.velocity, "
-            f"most of all those of {_slowest(config)}"
+            f"{STOPPING_REFUSAL_S:g} s: {_sooner(config)}"
             + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
         )
     overloaded += _wild_loops(config, robot)
@@ -223,12 +222,18 @@ def _push(table: PushTable, usable: Sequence[bool]) -> Push:
     return Push(forward, diagonal, sideways, *table.least(usable))
 
 
-def _slowest(config: RobotConfig) -> str:
-    """The axis that takes longest to stop."""
+def _sooner(config: RobotConfig) -> str:
+    """What lets the axis stop sooner that takes longest: to brake harder, or to get to it (and out of it) faster."""
     axes = config.robot.AXES
     rates = [limits.as_rates(axes) for limits in config.limits.axes().values()]
-    times = [velocity / acceleration + acceleration / jerk for velocity, acceleration, jerk in zip(*rates, strict=True)]
-    return axes[times.index(max(times))]
+    times = [
+        (velocity / acceleration, acceleration / jerk) for velocity, acceleration, jerk in zip(*rates, strict=True)
+    ]
+    braking, growing = max(times, key=lambda pair: pair[0] + pair[1])
+    axis = axes[times.index((braking, growing))]
+    if growing > braking:
+        return f"raise limits.jerk.{axis}, or lower limits.acceleration.{axis}"
+    return f"raise limits.acceleration.{axis}, or lower limits.velocity.{axis}"
 
 
 def _torque_share(config: RobotConfig, robot: Robot) -> tuple[str, float]:
@@ -258,8 +263,9 @@ def _wild_loops(config: RobotConfig, robot: Robot) -> list[str]:
     return [
         f"motor {motor.name}: speed_loop.kp = {motor.speed_loop.kp:g}: takes back {gain:.0%} of a speed error in one "
         f"cycle of loop.rate = {config.loop.rate:g} Hz; allowed up to {LOOP_GAIN_REFUSAL:.0%}, beyond 200% it swings "
-        "without end: lower kp or raise loop.rate (what the wheel has to move follows from body.mass, body.inertia, "
-        f"body.joint_inertia and the geometry: {config.robot.GEOMETRY})"
+        f"without end: kp up to {0.995 * motor.speed_loop.kp * LOOP_GAIN_REFUSAL / gain:.3g}, or raise loop.rate (what "
+        "the wheel has to move follows from body.mass, body.inertia, body.joint_inertia and the geometry: "
+        f"{config.robot.GEOMETRY})"
         for motor in config.motors_in_order()
         if motor.speed_loop is not None
         and (gain := motor.speed_loop.kp * mobility / config.loop.rate) > LOOP_GAIN_REFUSAL
