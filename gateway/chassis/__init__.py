@@ -3,8 +3,13 @@
 from typing import Final
 
 from gateway.chassis.contract import Chassis
+from gateway.chassis.mecanum import MecanumRobot
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.chassis.omni import OmniRobot
 
-AnyRobot = OmniRobot | OffsetDifferentialRobot  # by its `kind` in the robot file
-CHASSIS: Final[dict[str, type[Chassis]]] = {"omni": OmniRobot, "offset_differential": OffsetDifferentialRobot}
+AnyRobot = OmniRobot | MecanumRobot | OffsetDifferentialRobot  # by its `kind` in the robot file
+CHASSIS: Final[dict[str, type[Chassis]]] = {
+    "omni": OmniRobot,
+    "mecanum": MecanumRobot,
+    "offset_differential": OffsetDifferentialRobot,
+}

@@ -21,8 +21,16 @@ from replay.sim.plants.contract import Plant, PlantName
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 Torques = tuple[float, ...]
 # Per chassis kind: torques that drive every axis at once, N m, and joint angles to begin at, rad.
-MIXED: dict[str, Torques] = {"omni": (-1.0, 0.4, 1.2, 0.9), "offset_differential": (3.0, 5.0, -2.0)}
-PLACED: dict[str, Torques] = {"omni": (0.3, -0.2, 0.1, 7.0), "offset_differential": (0.3, -0.2, 1.1)}
+MIXED: dict[str, Torques] = {
+    "omni": (-1.0, 0.4, 1.2, 0.9),
+    "mecanum": (-1.0, 0.4, 1.2, 0.9),
+    "offset_differential": (3.0, 5.0, -2.0),
+}
+PLACED: dict[str, Torques] = {
+    "omni": (0.3, -0.2, 0.1, 7.0),
+    "mecanum": (0.3, -0.2, 0.1, 7.0),
+    "offset_differential": (0.3, -0.2, 1.1),
+}
 
 
 class Subject(NamedTuple):
