@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from math import inf
 from typing import Final, NamedTuple
 
-from gateway.kinematics.contract import GeometryError
+from gateway.kinematics.contract import Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.mecanum import roller_tangent
-from gateway.types import PLANAR, Rates
+from gateway.kinematics.reach import ReachTable
+from gateway.types import PLANAR, Rates, Twist
 
 AXES: Final = (*PLANAR, "width_rate")
 MIN_SIGMA: Final = 1e-6  # m
@@ -143,3 +144,47 @@ class OddGeometry:
                 f" {MIN_SIGMA:g} m at least; the rollers of a pair must differ, like 45 and -45 degrees"
             )
             raise GeometryError(message)
+
+
+class Width:
+    """How far apart the pairs are, m. One writer, the drive law; the kinematics reads it."""
+
+    def __init__(self, metres: float) -> None:
+        self.metres = metres
+
+
+class OddKinematics:
+    """Kinematics at the width that is known now; it begins with `start`, m, and no joint angle changes it."""
+
+    steered: tuple[int, ...] = ()
+    axes: tuple[str, ...] = AXES
+
+    def __init__(self, geometry: OddGeometry, *, start: float) -> None:
+        if not geometry.narrowest <= start <= geometry.widest:
+            message = f"width = {start:g} m: must be from {geometry.narrowest:g} to {geometry.widest:g} m"
+            raise GeometryError(message)
+        self.geometry: Final = geometry
+        self.width: Final = Width(start)
+        rows = geometry.rim_rows(start)
+        self._reach: Final = ReachTable(rows)
+        self._rows: Final[Matrix] = tuple(tuple([part / geometry.radius for part in row]) for row in rows)
+
+    def wheel_speeds(self, rates: Rates, positions: Sequence[float | None] = ()) -> list[float] | None:
+        """Inverse kinematics, rad/s."""
+        return self.geometry.wheel_speeds(rates, self.width.metres)
+
+    def twist(self, speeds: Sequence[float | None], positions: Sequence[float | None] = ()) -> Estimate | None:
+        """Forward kinematics; four wheels and four axes leave nothing unexplained."""
+        rates = self.geometry.rates(speeds, self.width.metres)
+        if rates is None:
+            return None
+        vx, vy, wz, rate = rates
+        return Estimate(Twist(vx, vy, wz), None, None, (rate,))
+
+    def reach(self, usable: Sequence[bool]) -> Reach:
+        """Every wheel is needed; what is lost without one, at the width of the start."""
+        return self._reach.of(usable)
+
+    def matrix(self, positions: Sequence[float] | None = None) -> Matrix:
+        """Wheel matrix at the width of the start, rad/s per unit of each axis."""
+        return self._rows
