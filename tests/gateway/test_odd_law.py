@@ -1,5 +1,6 @@
 """Driving with a width: its range ends softly, what yields to what, where the width is known from. O6 and O8."""
 
+import json
 from collections.abc import Iterator
 from itertools import pairwise
 from math import pi
@@ -211,6 +212,11 @@ def test_a_simulated_one_changes_its_width_while_it_drives() -> None:
             loop.cycle(commands=[command._replace(width_rate=0.05 if going else None)])
         else:
             loop.cycle(commands=[])
+    restored = Engine(config, json.loads(json.dumps(loop.engine.snapshot())))
+    assert restored._law.facts == loop.engine._law.facts
+    assert restored._kinematics.wheel_speeds((0.0, 0.0, 1.0, 0.0), ()) == loop.engine._kinematics.wheel_speeds(
+        (0.0, 0.0, 1.0, 0.0), ()
+    )
     assert loop.engine.mode is Mode.DRIVE
     assert 0.45 < plant.width < 0.51
     assert loop.engine._law.facts["width"] == pytest.approx(plant.width, abs=1e-3)
