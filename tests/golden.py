@@ -4,6 +4,7 @@ The vectors use the papers' frames; `_FUNCTIONS` is the one place where they are
 Rojas: x right, y forward, wheel axes at angles from right; ours are x forward, y left, so (vx, vy) of the paper is
 (-left, forward) and an angle of the paper is ours plus a quarter turn. MOBY: world velocities and chassis heading;
 with the platform heading at zero its frame is the world's, and the joint angle is minus the chassis heading.
+Omni Differential Drive (odd): our axes.
 Amarasiri et al. 2022 (omni004): our axes, but in inches, slug (lbf s^2/ft) and lbf in.
 Functions whose rooms are not built are listed as such and neither pass nor fail.
 """
@@ -23,13 +24,17 @@ from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.control.compensation import Compensation, RegionAt
 from gateway.control.launch import stepped_voltage
 from gateway.control.pull_region import Pull, examine, goal_of
+from gateway.kinematics.contract import GeometryError
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.forces import PushTable, force_coupling, least_forces
 from gateway.kinematics.linear import Matrix, pseudo_inverse
+from gateway.kinematics.mecanum import roller_tangent
+from gateway.kinematics.odd import OddGeometry, sigma1
 from gateway.kinematics.offset_differential import CasterGeometry, OffsetDifferentialKinematics
 from gateway.types import Twist
 from replay.reproduce.kane_model import Response, gains_for
 from replay.sim.controllers.dc_motor import DcMotor
+from replay.sim.plants.odd_equations import TwoBodies
 from replay.sim.plants.offset_dynamics import SWIVEL, OffsetDynamics, OffsetParameters
 from replay.sim.plants.omni_equations import OmniEquations
 from replay.sim.plants.omni_parameters import OmniParameters, kane_robot
@@ -360,6 +365,51 @@ def _kane_odometry(given: Vector) -> dict[str, Any]:
     }
 
 
+_ODD_AXES = ("xB", "yB", "phiB", "d")
+
+
+def _odd(given: Vector) -> OddGeometry:
+    """Our axes, at one width; where the file gives no radius it is one metre."""
+    return OddGeometry(
+        given["alpha"], radius=given.get("r", 1.0), spacing=given["w"], narrowest=given["d"], widest=given["d"]
+    )
+
+
+def _odd_inverse(given: Vector) -> dict[str, Any]:
+    geometry, rates = _odd(given), tuple(given[f"{axis}_dot"] for axis in _ODD_AXES)
+    return {"theta_dot": geometry.wheel_speeds(rates, given["d"]), "sigma1": geometry.sigma(given["d"])}
+
+
+def _odd_forward(given: Vector) -> dict[str, Any]:
+    geometry = _odd(given)
+    rates, sides = geometry.rates(given["theta_dot"], given["d"]), geometry.sides(given["theta_dot"], given["d"])
+    assert rates is not None
+    assert sides is not None
+    moving = {f"{axis}_dot": rate for axis, rate in zip(_ODD_AXES, rates, strict=True)}
+    return {**moving, **dict(zip(("xL", "yL", "xR", "yR"), (*sides.left, *sides.right), strict=True))}
+
+
+def _odd_singularity(given: Vector) -> dict[str, Any]:
+    """A singular one is refused."""
+    one, two, three, four = [roller_tangent(angle) for angle in given["alpha"]]
+    sigma = sigma1((one, two, three, four), width=given["d"], spacing=given["w"])
+    try:
+        _odd(given)
+    except GeometryError:
+        return {"sigma1": sigma, "singular": True}
+    return {"sigma1": sigma, "singular": False}
+
+
+def _odd_dynamics(given: Vector) -> dict[str, Any]:
+    bodies, width = TwoBodies(given["mL"], given["mR"]), given["d"]
+    rates, changes = [[given[f"{axis}_{order}"] for axis in _ODD_AXES] for order in ("dot", "ddot")]
+    forces = bodies.forces(width, tuple(rates), tuple(changes))
+    return {
+        **dict(zip(("FxL", "FyL", "FxR", "FyR"), (*forces.left, *forces.right), strict=True)),
+        **{"yC": bodies.centre(width), "I": bodies.inertia(width)},
+    }
+
+
 _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "offset.forward": _offset_forward,
     "offset.inverse": _offset_inverse,
@@ -390,6 +440,10 @@ _FUNCTIONS: dict[str, Callable[[Vector], dict[str, Any]]] = {
     "omni.DC_alpha": _omni_dc,
     "omni.forces_one_motor_out": _forces_one_motor_out,
     "omni.effective_motors_sym4": _effective_motors,
+    "odd.inverse": _odd_inverse,
+    "odd.forward": _odd_forward,
+    "odd.singularity": _odd_singularity,
+    "odd.inverse_dynamics": _odd_dynamics,
 }
 
 

@@ -30,6 +30,11 @@ def test_every_vector_of_forces_and_slip_of_omni_wheels_holds(capsys: pytest.Cap
     assert capsys.readouterr().out.endswith("27 passed, 0 failed\n")
 
 
+def test_every_vector_of_the_omni_differential_drive_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert golden.main([str(VECTORS.with_name("odd.json"))]) == 0
+    assert capsys.readouterr().out.endswith("36 passed, 0 failed\n")
+
+
 def test_a_wrong_vector_fails_and_an_unknown_function_is_not_built(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -24,7 +24,7 @@ from replay.sim.bus import SimulatedBus
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
 NAMES = ("moby", "omni4")  # one of each kind
-BUNDLED = (*NAMES, "omni4_gm6020", "omni4_vesc")  # where the controllers matter too
+BUNDLED = (*NAMES, "omni4_gm6020", "omni4_vesc", "mecanum4", "odd")  # where the controllers matter too
 Record = Cycle
 
 

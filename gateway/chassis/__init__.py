@@ -3,8 +3,15 @@
 from typing import Final
 
 from gateway.chassis.contract import Chassis
+from gateway.chassis.mecanum import MecanumRobot
+from gateway.chassis.odd import OddRobot
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.chassis.omni import OmniRobot
 
-AnyRobot = OmniRobot | OffsetDifferentialRobot  # by its `kind` in the robot file
-CHASSIS: Final[dict[str, type[Chassis]]] = {"omni": OmniRobot, "offset_differential": OffsetDifferentialRobot}
+AnyRobot = OmniRobot | MecanumRobot | OddRobot | OffsetDifferentialRobot  # by its `kind` in the robot file
+CHASSIS: Final[dict[str, type[Chassis]]] = {
+    "omni": OmniRobot,
+    "mecanum": MecanumRobot,
+    "odd": OddRobot,
+    "offset_differential": OffsetDifferentialRobot,
+}

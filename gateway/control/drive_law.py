@@ -92,6 +92,11 @@ class Features(NamedTuple):
     more_regions: str = ""  # what the robot file has to say for others, where anything helps
     grip: bool = False  # it knows what the floor gives
 
+    @property
+    def choices(self) -> bool:
+        """Whether `aim` has anything to say."""
+        return self.width or len(self.regions) > 1
+
     def objection(self, command: TwistCommand) -> str | None:
         """Why this command is none for this chassis; None: it is one."""
         if command.width_rate is not None and not self.width:
@@ -133,8 +138,8 @@ class DriveLaw(Protocol):
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         """What of a target may be driven towards now: all of it, less, or nothing yet.
 
-        Of a law with more than one region asked before the limits of the body, in each cycle that drives, and before
-        `motion`. `region`: the way round that the command asks for; `whole`: every motor is well.
+        Of a law whose features leave a choice, asked before the limits of the body, in each cycle that drives, and
+        before `motion`. `region`: the way round that the command asks for; `whole`: every motor is well.
         """
         ...
 

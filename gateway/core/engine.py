@@ -108,7 +108,7 @@ class Engine:
         top_speeds = tuple(limits.speed for limits in robot.limits)
         self._kinematics = robot.kinematics
         self._law = robot.law
-        self._selects = len(robot.law.features.regions) > 1  # commands may ask for a way round
+        self._selects = robot.law.features.choices  # the law has a say in what is driven towards
         self._grips = robot.law.features.grip
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source, robot.law.features)

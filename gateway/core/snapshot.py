@@ -102,6 +102,10 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.drive_law.SpeedLaw": frozenset(
         {"_brakes", "_features", "_kinematics", "_period", "_top_speeds", "_velocity"}
     ),
+    "gateway.kinematics.odd.Width": frozenset(),
+    "gateway.control.odd_law.OddLaw": frozenset(
+        {"_acceleration", "_features", "_kinematics", "_place", "_top_speeds", "_yields"}
+    ),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(

@@ -70,7 +70,7 @@ def test_offset_by_hand(phi: float, twist: Twist, expected: list[float]) -> None
 
 
 @given(speeds, speeds, speeds, angles)
-@pytest.mark.parametrize("name", ["moby", "omni4"])
+@pytest.mark.parametrize("name", ["moby", "omni4", "mecanum4"])
 def test_round_trip(name: str, vx: float, vy: float, wz: float, phi: float) -> None:
     chassis = kinematics(name)
     positions = [0.0, 0.0, phi, 0.0]

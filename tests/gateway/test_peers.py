@@ -7,7 +7,7 @@ Here is the mapping in code, once per kind of geometry, and how each kind of cas
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from math import cos, pi, radians, sin, sqrt
+from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.core.odometry import WheelOdometry, advance
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.fixed_wheels import FixedWheels
+from gateway.kinematics.mecanum import MecanumWheel, mecanum_kinematics
 from gateway.kinematics.offset_differential import OffsetDifferentialKinematics
 from gateway.types import Displacement, Pose, Twist
 
@@ -38,8 +39,12 @@ def ring(geometry: Given) -> FixedWheels:
 def mecanum(geometry: Given) -> FixedWheels:
     (x, y), (from_x, from_y) = (geometry["x"], geometry["y"]), geometry["center"]
     places = ((x, y, -45.0), (x, -y, 45.0), (-x, y, 45.0), (-x, -y, -45.0))
-    radius = geometry["radius"] / sqrt(2.0)
-    return omni_kinematics([driving(at_x - from_x, at_y - from_y, drive, radius) for at_x, at_y, drive in places])
+    return mecanum_kinematics(
+        [
+            MecanumWheel(at_x - from_x, at_y - from_y, radians(roller), geometry["radius"])
+            for at_x, at_y, roller in places
+        ]
+    )
 
 
 def omni(geometry: Given) -> FixedWheels:

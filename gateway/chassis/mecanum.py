@@ -1,0 +1,80 @@
+"""n mecanum wheels that all roll forward, anywhere on the body; most often four in a rectangle."""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.control.decoupled import Saturation
+from gateway.control.drive_law import SpeedLaw
+from gateway.kinematics.fixed_wheels import FixedWheels
+from gateway.kinematics.linear import Matrix
+from gateway.kinematics.mecanum import MecanumWheel, mecanum_kinematics
+from gateway.sections import Angle, Body, Length, Metres, Name, Section
+from gateway.types import PLANAR, Rates
+
+
+class MecanumPose(Section):
+    """Contact point of one wheel, axis of the roller that touches the floor (from forward), rolling radius."""
+
+    motor: Name
+    x: Metres
+    y: Metres
+    roller_angle: Angle
+    radius: Length
+
+
+class MecanumRobot(Section):
+    """n mecanum wheels that roll forward."""
+
+    GEOMETRY: ClassVar[str] = "each wheel's x, y, roller_angle and radius"
+    AXES: ClassVar[tuple[str, ...]] = PLANAR
+
+    kind: Literal["mecanum"]
+    name: Name
+    body: Body
+    wheel: Annotated[list[MecanumPose], Field(min_length=3, max_length=16)]
+    saturation: Saturation = Saturation.BOTH
+
+    def motor_names(self) -> tuple[str, ...]:
+        """Motors of the chassis in wheel order."""
+        return tuple(wheel.motor for wheel in self.wheel)
+
+    def kinematics(self) -> FixedWheels:
+        """From the poses of the wheels."""
+        return mecanum_kinematics(
+            [MecanumWheel(wheel.x, wheel.y, wheel.roller_angle, wheel.radius) for wheel in self.wheel]
+        )
+
+    def trailing(self) -> None:
+        """It does not."""
+
+    def channels(self) -> tuple[ChassisChannels, ...]:
+        """None of its own."""
+        return ()
+
+    def law(self, parts: LawParts) -> SpeedLaw:
+        """Every wheel at its speed."""
+        return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+
+    def inertia(self, angles: Sequence[float]) -> Matrix:
+        """One rigid body."""
+        mass = self.body.mass
+        return (mass, 0.0, 0.0), (0.0, mass, 0.0), (0.0, 0.0, self.body.inertia)
+
+    def masses(self) -> Rates:
+        """The whole body."""
+        return (self.body.mass, self.body.mass, self.body.inertia)
+
+    def drawing(self) -> Drawing:
+        """All wheels roll forward."""
+        return Drawing(
+            reach=max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel),
+            wheels=tuple(DrawnWheel(wheel.x, wheel.y, 0.0, wheel.radius) for wheel in self.wheel),
+        )
+
+    def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
+        """Nothing."""
+        return ()
