@@ -77,7 +77,7 @@ def _tell(name: str, result: PathResult, *, json: bool) -> None:
     else:
         end = "" if result.end_deviation is None else f", {result.end_deviation:.3f} m from the end"
         console.print(
-            f"{result.length:.3f} m in {result.seconds:.1f} s, at most {result.max_deviation:.3f} m beside{end}",
+            f"path of {result.length:.3f} m: {result.seconds:.1f} s, at most {result.max_deviation:.3f} m beside{end}",
             highlight=False,
         )
     if result.reason is not None:

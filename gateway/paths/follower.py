@@ -25,6 +25,7 @@ _SLOPE: Final = 4.0  # m of stretch per m of deviation: the plan leaves the path
 _LONGER: Final = 1.25  # a stretch that turns too tight is planned so much longer,
 _ATTEMPTS: Final = 16  # so often
 _SAMPLES: Final = 24  # points of a plan at which its curvature is looked at
+_LAST: Final = 0.1  # of the stretch, before the end: over less way a robot that takes corners does not merge
 _ARRIVED: Final = 1e-3  # m
 _LEAST_COSINE: Final = 0.5  # of a direction off the path's: more no plan makes, but a corner does
 
@@ -100,12 +101,13 @@ class Follower:
         self._acceleration = acceleration
         self._period = period
         self._stretch = stretch
+        self._last = stretch if least_radius is not None else _LAST * stretch
         self._sharpest = None if least_radius is None else 1.0 / least_radius
 
     def step(self, state: FollowerState, x: float, y: float, dt: float) -> tuple[Order, FollowerState]:
         """The order for the next dt seconds, for a robot measured at (x, y), and the state after it."""
         path = self._path
-        if state.age + 0.5 * dt >= self._period and path.length - state.way > self._stretch:
+        if state.age + 0.5 * dt >= self._period and path.length - state.way > self._last:
             state = self._planned(state, x, y)
         point, (ahead, deviation) = path.at(state.way), path.beside(x, y, state.way)
         left = path.length - state.way
@@ -137,7 +139,8 @@ class Follower:
 
     def _merging(self, way: float, begin: tuple[float, float, float], already: float) -> Plan:
         """The shortest plan of those tried that turns no tighter than allowed, or else the longest."""
-        length = max(self._stretch, _SLOPE * abs(begin[0]))
+        left = max(self._last, self._path.length - way)
+        length = max(min(self._stretch, left), _SLOPE * abs(begin[0]))
         plan = _quintic(way, length, *begin)
         for _ in range(_ATTEMPTS):
             if self._gentle(plan, already):

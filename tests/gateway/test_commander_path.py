@@ -120,12 +120,13 @@ def test_it_ends_with_a_zero_and_says_why(then: Callable[[FakeRobot], None], rea
 
 
 def test_the_end_missed_is_no_success() -> None:
-    """This robot stands still, and the way is shorter than what it merges over: no plan is made that could tell."""
+    """This robot stands still, aside, and the way is so short that no plan is made that could lead it back."""
     robot = FakeRobot()
-    result = drive(robot, LINE.replace("3.0", "0.15"))
-    assert result.reason == "did not reach the end: 0.150 m off"
-    assert result.end_deviation == pytest.approx(0.15)
-    assert result.max_deviation == pytest.approx(0.0)
+    robot.place = STILL._replace(y=0.15)
+    result = drive(robot, LINE.replace("3.0", "0.04"))
+    assert result.reason == "did not reach the end: 0.155 m off"
+    assert result.end_deviation == pytest.approx(0.15524, abs=1e-5)
+    assert result.max_deviation == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize(

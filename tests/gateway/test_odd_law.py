@@ -159,7 +159,7 @@ def test_a_sensor_draws_it_and_one_that_is_far_off_does_not() -> None:
         ("widest = 0.6", "widest = 0.2", r"robot: width from 0\.25 to 0\.2 m"),
         (ROLLERS, ROLLERS.replace("-", ""), r"robot: these roller angles do not drive all four axes"),
         ("[0.7853981633974483", "[1.5707963267948966", r"robot: roller_angle = 1\.5708 rad: its axis lies across"),
-        ('yields = "width"', 'yields = "nobody"', "robot.odd.yields = 'nobody'"),
+        ('yields = "width"', 'yields = "nobody"', "robot.yields = 'nobody'"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(old: str, new: str, words: str) -> None:
