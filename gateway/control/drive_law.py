@@ -189,7 +189,7 @@ class SpeedLaw:
         self._kinematics = kinematics
         self._top_speeds = tuple(top_speeds)
         self._velocity = velocity  # limits of the body
-        self._period = period  # s
+        self.period: Final = period  # s, of the loop
         self._features = Features(width="width_rate" in kinematics.axes)
         self._brakes = Motion((BRAKE,) * len(self._top_speeds))
         self._blind = False
@@ -269,7 +269,7 @@ class SpeedLaw:
         for index in self._kinematics.steered:
             angle, speed, age_ns = angles[index], measured.speeds[index], measured.ages_ns[index]
             if angle is not None and speed is not None and age_ns is not None:
-                angles[index] = angle + speed * (age_ns * 1e-9 + self._period)
+                angles[index] = angle + speed * (age_ns * 1e-9 + self.period)
         return angles
 
     def _in_proportion(self, setpoint: Rates) -> list[float]:

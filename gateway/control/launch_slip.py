@@ -8,7 +8,7 @@ the wheel must run ahead. What the floor gave is the impulse of the motors less 
 speed loop that has lost the inertia of the robot swings, so that no single torque tells.
 Only while the robot speeds up straight on: in a curve shares change all the time, and of one that is braked it is not
 known as well what resists it. And once the friction is taken for less the wheels have time to grip again, or the end of
-one slip would be taken for another.
+one slip would be taken for another. Nor after a late cycle, which is no slip either.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,8 @@ BEHIND: Final = 0.01  # of top speed: a wheel further behind its setpoint lacks 
 AHEAD: Final = 0.01  # of top speed, by which a wheel that slips runs ahead, where no torque is told
 LOOK_TIME: Final = 0.04  # s, from one look to the next
 TOLD: Final = 0.4  # of the cycles in which a torque must be another one: many tell it more seldom than speed
-PAUSE: Final = 0.12  # s, after one that found slip
+PAUSE: Final = 0.12  # s, after one that found slip, and after a late cycle
+LATE: Final = 1.5  # periods of the loop: meanwhile the motors went on with what they were told before
 MOTOR_SHARE: Final = 0.98  # of a motor's torque that a launch takes; the rest is for its speed control and friction
 _LEAST: Final = 1e-3  # N m
 BACK_OFF: Final = 0.85  # of the friction, where what the floor gave is not known
@@ -57,12 +58,15 @@ class Told(NamedTuple):
 class LaunchSlip:
     """State owner: what the wheels did in this look at them, one after the other while there is a launch."""
 
-    def __init__(self, grip: Grip, *, radii: Sequence[float], losses: Losses, top_speeds: Sequence[float]) -> None:
-        """`radii` m; `top_speeds` rad/s."""
+    def __init__(
+        self, grip: Grip, *, radii: Sequence[float], losses: Losses, top_speeds: Sequence[float], period: float
+    ) -> None:
+        """`radii` m; `top_speeds` rad/s; `period` s, of the loop."""
         self._grip = grip
         self._radii = tuple(radii)
         self._losses = losses
         self._top_speeds = tuple(top_speeds)
+        self._longest = LATE * period
         self._looking = False
         self._pause = 0.0  # s, until the next look
         self._given: list[float] = []  # N m s meant for wheel and floor
@@ -71,6 +75,9 @@ class LaunchSlip:
 
     def look(self, told: Told, expected: Sequence[float], measured: Measured, friction: float) -> float | None:
         """What friction the floor gave, where wheels slipped; `expected`: rad/s that they should turn."""
+        if measured.dt > self._longest:
+            self._looking, self._pause = False, PAUSE
+            return None
         if self._pause > 0.0:
             self._pause -= measured.dt
             return None

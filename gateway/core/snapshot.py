@@ -75,7 +75,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
     ),
-    "gateway.control.launch_slip.LaunchSlip": frozenset({"_grip", "_losses", "_radii", "_top_speeds"}),
+    "gateway.control.launch_slip.LaunchSlip": frozenset({"_grip", "_longest", "_losses", "_radii", "_top_speeds"}),
     "gateway.control.launch.LaunchLaw": frozenset(
         {
             "_acceleration",
@@ -100,7 +100,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.compensation.PathRate": frozenset(),
     "gateway.control.slip_correction.SlipCorrection": frozenset({"_bounds", "_wheels"}),
     "gateway.control.drive_law.SpeedLaw": frozenset(
-        {"_brakes", "_features", "_kinematics", "_period", "_top_speeds", "_velocity"}
+        {"_brakes", "_features", "_kinematics", "_top_speeds", "_velocity", "period"}
     ),
     "gateway.kinematics.odd.Width": frozenset(),
     "gateway.control.odd_law.OddLaw": frozenset(

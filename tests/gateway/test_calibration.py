@@ -1,6 +1,7 @@
 """Finding how the floor grips, by launches of the real engine on a floor that is known."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import pytest
 
@@ -38,7 +39,8 @@ class Robot:
         self.furthest = 0.0
         self.launches: list[Launch] = []
 
-    def drive(self, launch: Launch) -> float:
+    def drive(self, launch: Launch, late: Mapping[int, int] = MappingProxyType({})) -> float:
+        """`late`: ms without a cycle, by the number of the one before."""
         self.launches.append(launch)
         world, at = self.world, self.world.now_ns + self.world.period_ns
         setting = Request(RequestKind.SET, 1, at, setting=FRICTION, value=launch.friction)
@@ -46,7 +48,9 @@ class Robot:
         twist = Twist(launch.speed, 0.0, 0.0) if launch.axis is Axis.X else Twist(0.0, launch.speed, 0.0)
         facts: Facts = {}
         for wanted, seconds in ((twist, launch.seconds), (ZERO_TWIST, launch.seconds + 0.5)):
-            for _ in range(round(seconds * 1e9 / world.period_ns)):
+            for number in range(round(seconds * 1e9 / world.period_ns)):
+                if number in late and wanted is twist:
+                    world.loop.pause(world.now_ns + late[number] * 1_000_000)
                 outputs = world.cycle(commands=[world.command(wanted)])
                 facts = facts if outputs.status is None else outputs.status.chassis
                 pose = world.bus.robot.truth.pose
@@ -127,3 +131,12 @@ def test_another_limit_than_the_floor_is_named() -> None:
     lame = words(lambda text: gripping(text).replace("jerk = { vx = 40.0", "jerk = { vx = 2.0"))
     assert "more than limits.velocity.vx" in lame
     assert "limits.jerk.vx" in lame
+
+
+@pytest.mark.parametrize("first", [5, 11])
+@pytest.mark.parametrize("gap", [4, 8])
+def test_late_cycles_are_no_slip(first: int, gap: int) -> None:
+    """Two of 30 ms in a short launch, on a floor that gives half as much again."""
+    robot = Robot(0.3)
+    launch = plans().launch(Axis.Y, 0.2)
+    assert robot.drive(launch, late={first: 30, first + gap: 30}) == launch.friction
