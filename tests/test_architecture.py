@@ -238,26 +238,36 @@ def test_every_package_has_sources() -> None:
     assert {name(path).split("/")[0] for path in sources()} == set(PACKAGES)
 
 
+COMPILED_ROOMS = ("drivers", "gateway/core", "gateway/kinematics", "gateway/control")
+COMPILED = [path for room in COMPILED_ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+
+
 def test_no_compiled_module_has_a_final_tuple_of_numbers() -> None:
     """mypyc leaves one unset, where the first of its numbers is a float: annotate it by its type alone."""
     found = []
-    rooms = ("drivers", "gateway/core", "gateway/kinematics", "gateway/control")
-    for path in [path for room in rooms for path in sorted((ROOT / room).rglob("*.py"))]:
+    for path in COMPILED:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
         for node in tree.body:
-            if (
-                isinstance(node, ast.AnnAssign)
-                and isinstance(node.target, ast.Name)
-                and isinstance(node.value, ast.Tuple)
-            ):
+            if isinstance(node, ast.AnnAssign) and isinstance(node.value, ast.Tuple):
                 kind = ast.unparse(node.annotation)
-                if (
-                    kind.startswith("Final")
-                    and "..." not in kind
-                    and begins_with_a_float(getattr(module, ast.unparse(node.target)))
-                ):
+                value = getattr(module, ast.unparse(node.target))
+                if kind.startswith("Final") and "..." not in kind and begins_with_a_float(value):
                     found.append(f"{path.name}:{node.lineno} {ast.unparse(node.target)}")
+    assert found == []
+
+
+def test_no_compiled_function_calls_two_kinds_of_error_alike() -> None:
+    """mypyc gives a name one type, and the second kind would be a TypeError."""
+    found = []
+    for path in COMPILED:
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef):
+                kinds: dict[str, set[str]] = {}
+                for node in ast.walk(function):
+                    if isinstance(node, ast.ExceptHandler) and node.name is not None and node.type is not None:
+                        kinds.setdefault(node.name, set()).add(ast.unparse(node.type))
+                found += [f"{path.name}: {function.name}: {name}" for name, of in kinds.items() if len(of) > 1]
     assert found == []
 
 

@@ -59,8 +59,8 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     joints = tuple(map(_with_loop, able, loops))
     try:
         law = config.robot.law(_law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops))))
-    except GripError as error:
-        raise ConfigError(origin, [f"robot.grip: {error}"]) from None
+    except GripError as lame:  # mypyc wants one kind of error by one name
+        raise ConfigError(origin, [f"robot.grip: {lame}"]) from None
     return Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
