@@ -40,6 +40,7 @@ def _document(report: Examination) -> dict[str, object]:
         "top_speeds": dict(zip(report.axes, report.top_speeds, strict=True)),
         "reachable": dict(zip(report.axes, report.reachable, strict=True)),
         "loop_limits": [limit._asdict() for limit in report.loop_limits],
+        "grip": None if report.grip is None else report.grip._asdict(),
         "buses": [bus._asdict() for bus in report.buses],
         "effective_motors": None if report.effective_motors is None else _pushes_document(report.effective_motors),
     }
@@ -58,6 +59,10 @@ def _show(report: Examination) -> None:
         table.add_row(f"top speed {axis}", f"{used:.3g} {unit} (motors alone: {possible:.3g})")
     stop = f"at most {report.stopping_time_s:.2f} s and {report.stopping_distance_m:.2f} m"
     table.add_row("stop from top speed", stop)
+    if report.grip is not None:
+        friction, share, seconds, metres = report.grip
+        table.add_row("the same, commanded", f"at most {seconds:.2f} s and {metres:.2f} m at friction {friction:g}")
+        table.add_row("launch", f"{share:.0%} of limits.acceleration at least; no more than floor and motors bear")
     if report.turning_share < 1.0:
         held = f"held back to {report.turning_share:.0%}: faster turning would exceed limits.acceleration"
         table.add_row("all top speeds at once", held)

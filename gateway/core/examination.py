@@ -6,8 +6,10 @@ from math import fsum, pi, sqrt
 from typing import Final, NamedTuple
 
 from drivers.contract import Traffic
+from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import LoopLimit
 from gateway.config import Bus, ConfigError, RobotConfig
+from gateway.control.launch import FRICTION
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build, feedback_delay
 from gateway.kinematics.forces import PushTable, force_coupling
@@ -59,6 +61,19 @@ class Pushes(NamedTuple):
     without: dict[str, Push]  # by the motor that is lost
 
 
+class Gripping(NamedTuple):
+    """What floor and motors bear, at the friction of the robot file.
+
+    `share`: of the acceleration limits, in the direction of least, turning included; `stopping_time_s` and
+    `stopping_distance_m`: of a stop that is commanded, straight on from top speed, at most.
+    """
+
+    friction: float
+    share: float
+    stopping_time_s: float
+    stopping_distance_m: float
+
+
 class Examination(NamedTuple):
     """Everything `drivegate check` prints."""
 
@@ -73,6 +88,7 @@ class Examination(NamedTuple):
     reachable: Rates  # the smaller of that and the configured limit
     stopping_time_s: float  # from top speed to rest, at most
     stopping_distance_m: float
+    grip: Gripping | None  # None: launches and commanded stops do not go by the floor
     turning_share: float  # of all top speeds at once that can be driven: the rest would turn too fast for its speed
     torque_share: float  # of its torque that the most strained motor gives at the acceleration limits, all axes at once
     buses: tuple[BusLoad, ...]
@@ -128,6 +144,13 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             f"{STOPPING_REFUSAL_S:g} s: {_sooner(config)}"
             + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
         )
+    grip = _gripping(config, robot)
+    if grip is not None and grip.stopping_time_s > STOPPING_REFUSAL_S:
+        overloaded.append(
+            f"robot.grip.friction = {grip.friction:g}: a commanded stop from top speed takes "
+            f"{grip.stopping_time_s:.1f} s and {grip.stopping_distance_m:.1f} m; allowed up to "
+            f"{STOPPING_REFUSAL_S:g} s: lower limits.velocity"
+        )
     overloaded += _wild_loops(config, robot)
     spare = _spare_torques(config, robot)
     overloaded += [f"{words} nothing" for words, left, _ in spare if left <= 0.0]
@@ -152,6 +175,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         reachable=tuple(min(axis) for axis in zip(top, limit, strict=True)),
         stopping_time_s=stop_s,
         stopping_distance_m=stop_m,
+        grip=grip,
         turning_share=1.0
         / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_rates(config.robot.AXES)))),
         torque_share=torque_share,
@@ -170,6 +194,21 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             )
         ),
     )
+
+
+def _gripping(config: RobotConfig, robot: Robot) -> Gripping | None:
+    ground = robot.law.ground(whole=True) if robot.law.features.grip else None
+    if ground is None:
+        return None
+    still = (0.0,) * len(robot.kinematics.axes)
+    stopping = config.limits.as_stopping()
+    limits = stopping["acceleration"]
+    ways = [(0.0, 0.0, turn) for turn in (1.0, -1.0)]
+    ways += [(c, s, 0.0) for s, c in (sin_cos(2.0 * pi * step / _HEADINGS) for step in range(_HEADINGS))]
+    share = min(ground.effort(still, tuple([p * limit for p, limit in zip(way, limits)]), still) for way in ways)
+    stopping["acceleration"] = tuple([share * limit for limit in limits])
+    friction = robot.law.settings[FRICTION]
+    return Gripping(friction, share, stopping_time(**stopping), stopping_distance(**stopping))
 
 
 def _top_speeds(robot: Robot) -> Rates:

@@ -1,7 +1,7 @@
 """The no-slip launch: on a floor that gives so much and no more, in eight directions, and by what each motor can."""
 
 from collections.abc import Sequence
-from math import sqrt
+from math import cos, pi, sin, sqrt
 
 import pytest
 
@@ -17,7 +17,9 @@ from gateway.control.limits import TwistLimiter, turning_excess
 from gateway.control.transmission import Winding
 from gateway.control.wheel_limits import WheelLimits
 from gateway.core.assembly import build
-from tests.world import robot_text
+from gateway.core.examination import examine
+from gateway.types import ZERO_TWIST, Twist
+from tests.world import World, robot_text
 
 MASS, RADIUS = 25.0, 0.0762  # kg, m
 DT = 0.004
@@ -43,6 +45,31 @@ def test_a_centre_outside_the_wheels_is_a_bad_robot_file() -> None:
         text = text.replace(f"x = {x}\n", f"x = {float(x) + 0.3}\n")
     with pytest.raises(ConfigError, match=r"robot\.grip: wheel \d carries -"):
         build(parse(text, "omni4"))
+
+
+def test_check_says_how_long_a_commanded_stop_takes() -> None:
+    """Driven: never longer, and not half as long where it is longest."""
+    grip = examine(parse(gripping(robot_text("omni4"), 0.2), "omni4"), "omni4").grip
+    assert grip is not None
+    taken = []
+    for eighth in (0, 1, 2):
+        world = World("omni4", edit=lambda text: gripping(text, 0.2))
+        world.start()
+        x, y = 2.0 * cos(eighth * pi / 4), 1.5 * sin(eighth * pi / 4)
+        for _ in range(600):
+            world.cycle(commands=[world.command(Twist(x, y, 0.0))])
+        cycles = 0
+        while any(world.last.trace.setpoint):
+            world.cycle(commands=[world.command(ZERO_TWIST)])
+            cycles += 1
+        taken.append(cycles * DT)
+    assert 0.45 * grip.stopping_time_s < max(taken) <= grip.stopping_time_s
+
+
+def test_a_floor_on_which_a_commanded_stop_takes_too_long_is_refused() -> None:
+    words = r"robot\.grip\.friction = 0\.05: a commanded stop from top speed takes .* s and .* m; allowed up to 5 s"
+    with pytest.raises(ConfigError, match=words):
+        examine(parse(gripping(robot_text("omni4"), 0.05), "omni4"), "omni4")
 
 
 # the law alone
