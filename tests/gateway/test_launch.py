@@ -18,7 +18,7 @@ from gateway.control.transmission import Winding
 from gateway.control.wheel_limits import WheelLimits
 from gateway.core.assembly import build
 from gateway.core.examination import examine
-from gateway.types import ZERO_TWIST, Twist
+from gateway.types import ZERO_TWIST, Event, Twist
 from tests.world import World, robot_text
 
 MASS, RADIUS = 25.0, 0.0762  # kg, m
@@ -118,6 +118,33 @@ def test_torque_is_shared_by_load() -> None:
     assert -2.0 * sqrt(0.75) * (front.feed_forward + rear.feed_forward) / RADIUS == pytest.approx(100.0)
     assert front.limit == pytest.approx(0.6 * RADIUS * 36.31, abs=1e-3)
     assert rear.limit == pytest.approx(0.6 * RADIUS * 86.31, abs=1e-3)
+
+
+def test_a_wheel_may_push_by_the_least_that_it_has_carried_lately() -> None:
+    """The robot follows its setpoint a little later, and with it the load: in the first cycle it is that of rest."""
+    front, rear = ramp(launch_law(Pusher(True, True, hosted=False, torque=4.5)), 4.0, 1)[-1][:2]
+    assert rear.limit == pytest.approx(0.6 * RADIUS * MASS * 9.81 / 4.0, abs=1e-3)
+    assert front.limit == pytest.approx(0.6 * RADIUS * 36.31, abs=1e-3)
+
+
+def slipping(*, wz: float = 0.0, braked: bool = False) -> list[str]:
+    """Events of wheels that turn as told while the floor pushes back by nothing."""
+    law = launch_law(Pusher(True, True, hosted=False, torque=4.5), inertia=0.004)
+    found: list[Event] = []
+    rate = -4.0 if braked else 4.0
+    for cycle in range(30):
+        setpoint = (1.0 + rate * DT * cycle, 0.0, wz)
+        turning = law._speeds.speeds_at(setpoint, (), braking=False)[0]
+        law.ground(whole=True)
+        torques = [0.2 + 0.001 * cycle] * 4
+        found += law.motion(setpoint, measured(turning, torques), braking=False).events
+    return [event.code for event in found]
+
+
+def test_slip_is_looked_for_while_it_speeds_up_straight_on() -> None:
+    assert slipping() == ["launch_slipped"]
+    assert slipping(braked=True) == [], "what resists a wheel that brakes is not known as well"
+    assert slipping(wz=0.5) == [], "in a curve the shares change all the time"
 
 
 def test_a_stop_is_not_limited_and_pushes_no_more_than_the_floor_gives() -> None:

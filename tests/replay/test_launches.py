@@ -4,7 +4,7 @@
 """
 
 from itertools import pairwise
-from math import pi
+from math import hypot, pi
 
 import pytest
 
@@ -68,6 +68,8 @@ def test_a_launch_that_slips_backs_off_and_learns(eighth: int) -> None:
     assert run.law.facts == {"friction": run.law.friction, "launch": False}
     settled = slice(round(0.3 * run.config.loop.rate), run.launched)
     assert max(run.slips[settled]) < 0.01  # m/s
+    ahead = [hypot(*out.trace.setpoint[:2]) - speed for out, speed in zip(run.outputs, run.speeds, strict=True)]
+    assert max(ahead[settled]) < 0.12  # m/s; the setpoint does not go on from where the slip left it
     assert run.odometry_error < 0.015
 
 
