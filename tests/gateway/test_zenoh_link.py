@@ -726,7 +726,7 @@ def test_a_port_in_use_is_named(link: ZenohLink, endpoint: str) -> None:
 )
 def test_a_wrong_endpoint_is_named(wrong: str, why: str) -> None:
     with pytest.raises(LinkError, match=f"{wrong}.*{why}") as caught:
-        ZenohLink(_robot(wrong), "")
+        open_zenoh(listen=[wrong], connect=[], max_message_size=1000)
     assert "cargo" not in str(caught.value)
 
 
