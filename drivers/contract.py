@@ -67,6 +67,7 @@ class MotorFeedback(NamedTuple):
     fault: DriverFault | None = None
     age_ns: int | None = None  # since the last position/velocity measurement
     silence: str | None = None  # of a SILENT motor that is heard in part: what is missing and what turns it on
+    torque_age_ns: int | None = None  # since the torque was told: many tell it more seldom than speed
 
 
 class Capabilities(NamedTuple):

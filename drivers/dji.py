@@ -244,6 +244,7 @@ class _Motor:
                 self.fault,
                 max(0, now_ns - self.heard_ns),
                 None,
+                max(0, now_ns - self.heard_ns),
             )
         )
 

@@ -434,6 +434,7 @@ class _Motor:
                 self.problem(),
                 None if measured_ns is None else max(0, now_ns - measured_ns),
                 self._missing(now_ns),
+                None if self.status_ns is None else max(0, now_ns - self.status_ns),
             )
         )
 

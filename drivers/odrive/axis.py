@@ -89,6 +89,7 @@ class Axis:
         "timeout_read",
         "told",
         "torque",
+        "torque_ns",
         "twins",
         "velocity",
         "verdict",
@@ -126,6 +127,7 @@ class Axis:
         self.position: float | None = None
         self.velocity: float | None = None
         self.torque: float | None = None
+        self.torque_ns: int | None = None
         self.voltage: float | None = None
         self.temperature_c: float | None = None
         self.twins = TwinWatch(spec)
@@ -341,9 +343,10 @@ class Axis:
         # Inverter and motor; a motor without a sensor may say NaN. The hotter one is what limits the drive.
         self.temperature_c = max(filter(isfinite, items), default=self.temperature_c)
 
-    def _take_torques(self, items: tuple[Any, ...], _received_ns: int) -> None:
+    def _take_torques(self, items: tuple[Any, ...], received_ns: int) -> None:
         if isfinite(items[1]):
             self.torque = items[1]
+            self.torque_ns = received_ns
 
     def _take_bus(self, items: tuple[Any, ...], _received_ns: int) -> None:
         if isfinite(items[0]):

@@ -203,6 +203,7 @@ def _feedback(axis: Axis, now_ns: int) -> MotorFeedback:
             axis.fault,
             None if axis.measured_ns is None else max(0, now_ns - axis.measured_ns),
             axis.missing(now_ns),
+            None if axis.torque_ns is None else max(0, now_ns - axis.torque_ns),
         )
     )
 

@@ -373,7 +373,7 @@ class Engine:
             return None
         judged = self._mode in DRIVING and not measured.slipping and measured.estimate is not None
         twist = measured.estimate.twist if judged and measured.estimate is not None else None
-        return detector.look(twist, self._motors.torques(measured), measured.dt)
+        return detector.look(twist, self._motors.torques_now(measured), measured.dt)
 
     def _adrift(self, measured: Measured) -> tuple[Event, ...]:
         """Whether limping has to end: whoever commands has to send zero again, and the robot brakes until then."""

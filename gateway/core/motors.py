@@ -23,6 +23,7 @@ STANDSTILL: Final = 0.005  # of the motor's top speed
 SATURATED: Final = 0.98  # of the torque limit
 TAKE_UP_FROM: Final = 0.02  # of top speed; less is no step, whatever becomes of it
 _SPEEDS: Final = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
+TORQUE_AGE_NS: Final = 30_000_000  # an older torque says nothing of now
 HEADROOM_FROM: Final = 0.05  # of top speed: lag at which the setpoint may grow slower ...
 HEADROOM_TO: Final = 0.08  # ... and not at all
 
@@ -177,6 +178,16 @@ class Motors:
         for index in self._untold:
             if torques[index] is None:
                 torques[index] = self._wanted[index]
+        return torques
+
+    def torques_now(self, measured: Measured) -> Sequence[float | None]:
+        """The same, where it was told just now: an ODrive tells it ten times a second unless it is set up for more."""
+        torques = list(self.torques(measured))
+        for index, feedback in enumerate(self.feedback):
+            if feedback.torque is not None:
+                age_ns = feedback.torque_age_ns
+                if age_ns is None or age_ns > TORQUE_AGE_NS:
+                    torques[index] = None
         return torques
 
     def _command(self, index: int, command: JointCommand, measured: Measured) -> MotorCommand:
