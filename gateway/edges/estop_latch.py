@@ -136,8 +136,9 @@ class EstopLatch:
             self._changed.notify()
 
     def health(self) -> dict[str, object]:
-        """For the robot's status."""
-        return {"on_disk": self.on_disk, "problem": self._problem}
+        """For the robot's status. One that is no longer wanted is on disk until it is certainly gone."""
+        on_disk = self.on_disk if self._wanted else self._on_disk is not False
+        return {"on_disk": on_disk, "problem": self._problem}
 
     def close(self, timeout: float = CLOSE_S) -> None:
         """End the thread; a change that is under way gets this long."""

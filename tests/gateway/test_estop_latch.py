@@ -261,6 +261,17 @@ def test_a_full_disk_is_told_tried_again_and_cleaned_up(monkeypatch: pytest.Monk
     assert settle(latch) == ON_DISK
 
 
+def test_one_that_is_being_removed_is_told_to_be_on_disk_until_it_is_gone() -> None:
+    store = FakeStore(Kept("set yesterday", sound=True))
+    latch = EstopLatch(store)
+    store.gate.clear()
+    latch.want(stopped=False)
+    assert latch.health() == ON_DISK
+    store.gate.set()
+    assert settle(latch) == NOT_SET
+    assert not store.is_set
+
+
 def test_what_failed_half_way_is_removed_at_the_reset() -> None:
     store = FakeStore()
     store.error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
