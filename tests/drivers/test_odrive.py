@@ -5,7 +5,7 @@ from struct import unpack
 
 import pytest
 
-from drivers.contract import Capabilities, MotorState, Traffic
+from drivers.contract import Capabilities, MotorFeedback, MotorState, Traffic
 from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.odrive_stand import (
@@ -401,7 +401,7 @@ def test_release_is_asked_for_ten_times_a_second() -> None:
 def test_silence_begins_300_ms_after_a_heartbeat_and_50_ms_after_an_estimate() -> None:
     driver = OdriveDriver(BUS, [spec("0.6")])
     heartbeat, estimates = can_frame("061#0000000001000000"), can_frame("069#0000000000000000")
-    assert driver.feedback(now_ns=0)[0] == (MotorState.SILENT, *[None] * 8)
+    assert driver.feedback(now_ns=0)[0] == MotorFeedback(MotorState.SILENT)
     driver.receive(heartbeat._replace(received_ns=1000 * MS))
     for heard, silent in ((1000 * MS, 1050 * MS), (1250 * MS, 1300 * MS)):
         driver.receive(estimates._replace(received_ns=heard))
