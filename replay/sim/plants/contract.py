@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import Protocol, runtime_checkable
 
-from gateway.types import Pose, Twist
+from gateway.types import Attitude, Pose, Twist
 
 
 class Plant(Protocol):
@@ -111,4 +111,29 @@ class WithCaster(Protocol):
 
     def set_force(self, point: Point, along: float, across: float) -> None:
         """N along the chassis and to its left, turning with it, until told otherwise."""
+        ...
+
+
+@runtime_checkable
+class WithSlides(Protocol):
+    """A plant whose wheels go apart; not every one does."""
+
+    @property
+    def width(self) -> float:
+        """Between the middles of the pairs of wheels, m."""
+        ...
+
+    @property
+    def width_rate(self) -> float:
+        """By which they go apart, m/s."""
+        ...
+
+
+@runtime_checkable
+class WithAttitude(Protocol):
+    """A plant whose body leans; not every one does."""
+
+    @property
+    def attitude(self) -> Attitude:
+        """How it leans and turns, all of it known."""
         ...
