@@ -4,15 +4,13 @@ import contextlib
 import errno
 import os
 import select
-import signal
 import socket
-import subprocess
-import sys
 import time
 
 from gateway.build import ROOT
 from gateway.edges.signals import ENDING
 from gateway.recording.packets import PACKET_LIMIT, Hello, RecorderReport, decode_report, encode
+from gateway.recording.spawner import Spawner
 
 SOCKET_BYTES = 1 << 20  # asked for; the kernel caps it at net.core.wmem_max
 REPORT_BYTES = 65536
@@ -29,7 +27,7 @@ class TooLongError(ValueError):
 class RecorderChild:
     """Started on construction. Raises OSError."""
 
-    def __init__(self, hello: Hello) -> None:
+    def __init__(self, hello: Hello, spawner: Spawner) -> None:
         self.report: RecorderReport | None = None
         self.sent = 0  # cycles handed over
         self.first_cycle: int | None = None
@@ -37,8 +35,12 @@ class RecorderChild:
         self.ended = False  # its end of the pair is closed
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
-        with theirs:
-            self._process = _spawn(theirs.fileno())
+        try:
+            with theirs:
+                self._process = spawner.start(PROGRAM, theirs.fileno())
+        except OSError:
+            self._socket.close()
+            raise
         self._socket.setblocking(False)
         self._socket.send(encode(hello))
 
@@ -48,8 +50,8 @@ class RecorderChild:
         return self._process.pid
 
     def running(self) -> bool:
-        """Whether the process lives; collects its exit code if not."""
-        return self._process.poll() is None
+        """Whether the process lives; one of which nobody tells any more does until it closes its end."""
+        return self._process.running() or (self._process.lost and not self.ended)
 
     def send(self, cycle: int | None, packet: bytes) -> bool:
         """Hand over a packet (cycle None: not a cycle); False if there is no room now. Raises TooLongError."""
@@ -102,15 +104,13 @@ class RecorderChild:
     def exit_code(self, deadline: float) -> int | None:
         """Exit code, waited for until time.monotonic() passes; None if it still runs. Closes our end."""
         self._socket.close()
-        try:
-            return self._process.wait(max(deadline - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:
-            return None
+        self._process.ended(deadline - time.monotonic())
+        self._process.close()
+        return self._process.exit_code
 
     def kill(self) -> None:
         """End it at once."""
         self._process.kill()
-        self._process.wait()
         self._socket.close()
 
     def _wait(self, event: int, timeout: float) -> bool:
@@ -124,21 +124,10 @@ class RecorderChild:
         return False
 
 
-def _spawn(descriptor: int) -> subprocess.Popen[bytes]:
-    """A fresh interpreter (never a fork: Rerun does not survive it) that inherits one descriptor and no signals.
+def recorder_spawner() -> Spawner:
+    """What starts recorders: fresh interpreters (never forks: Rerun does not survive it) that outlive the service.
 
-    The ending signals are blocked around the start, because a blocked signal stays blocked across exec: ^C in a
-    terminal and systemd's SIGTERM reach the whole group, and the recorder must outlive the service.
+    Raises OSError.
     """
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-P", *PROGRAM, str(descriptor)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
-            pass_fds=(descriptor,),
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return Spawner(blocked=tuple(ENDING), environment=os.environ | {"PYTHONPATH": os.pathsep.join(paths)})

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.core.snapshot import State
-from gateway.recording.child import RecorderChild, TooLongError
+from gateway.recording.child import RecorderChild, TooLongError, recorder_spawner
 from gateway.recording.packets import SNAPSHOT_PERIOD_NS, End, Gap, Hello, Record, Snapshot, encode
 from gateway.types import CycleTiming, Inputs, Outputs
 
@@ -35,7 +35,10 @@ BACKLOG_BYTES = 16_000_000
 BACKLOG_SENDS = 16  # of waiting packets per cycle: catching up must not make the loop late
 FIRST_BACKOFF_S = 1.0
 LONGEST_BACKOFF_S = 30.0
-ENDS: dict[int | None, str] = {-signal.SIGALRM: "writing was stuck"}  # exit codes that deserve words
+ENDS: dict[int | None, str] = {
+    -signal.SIGALRM: "writing was stuck",
+    None: "nobody tells how",
+}  # exit codes that deserve words
 
 
 class RecorderError(RuntimeError):
@@ -76,7 +79,8 @@ class Recorder:
         self._snapshot_due_ns = 0
         self._orders: SimpleQueue[Hello | None] = SimpleQueue()
         self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
-        self._child: RecorderChild | None = RecorderChild(self._hello)
+        self._spawner = recorder_spawner()
+        self._child: RecorderChild | None = RecorderChild(self._hello, self._spawner)
         self._wait_until_ready(self._child)
         # A thread that is there already: starting one waits until it runs, and the disk with the program may hang.
         Thread(target=self._start_others, name="recorder start", daemon=True).start()
@@ -149,6 +153,12 @@ class Recorder:
     def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
         """Flush, write the footer, end the process; False if something is not on the disk by then."""
         self._orders.put(None)
+        try:
+            return self._close_child(timeout)
+        finally:
+            self._spawner.close()
+
+    def _close_child(self, timeout: float) -> bool:
         deadline = time.monotonic() + timeout
         child = self._child
         if child is None:
@@ -175,6 +185,7 @@ class Recorder:
             return
         if report is None or not report.folder:
             child.kill()
+            self._spawner.close()
             raise RecorderError(report.error if report is not None and report.error else "the recorder process ended")
         self._take_report(child)
         logger.info("recording to %s", self.session)
@@ -218,7 +229,7 @@ class Recorder:
     def _start_others(self) -> None:
         while (hello := self._orders.get()) is not None:
             try:
-                self._started.put(RecorderChild(hello))
+                self._started.put(RecorderChild(hello, self._spawner))
             except OSError as error:
                 self._started.put(error)
 

@@ -55,6 +55,13 @@ def until(recorder: Recorder, condition: Callable[[], bool]) -> None:
         recorder.poll()
 
 
+def until_stopped(process: int) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        assert time.monotonic() < deadline
+        os.sched_yield()
+
+
 def pid(recorder: Recorder) -> int:
     assert recorder._child is not None
     return recorder._child.pid
@@ -88,7 +95,7 @@ def test_everything_put_is_on_the_disk_after_closing(tmp_path: Path) -> None:
 def test_the_service_never_waits_for_a_stopped_process(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "_backlog_limit", 60)
     os.kill(pid(recorder), signal.SIGSTOP)
-    os.waitid(os.P_PID, pid(recorder), os.WSTOPPED | os.WNOWAIT)
+    until_stopped(pid(recorder))
     records = list(drive(STALLED))
     started = time.process_time()
     put(recorder, records)
@@ -138,9 +145,63 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     assert recorder.dropped == 50
 
 
+PROGRAM_STARTS = {"subprocess.Popen", "os.fork", "os.forkpty", "os.exec", "os.posix_spawn", "os.system"}
+
+
+class Watch:
+    """Starts of programs by this process while it is `on`; an audit hook cannot be taken away again."""
+
+    def __init__(self) -> None:
+        self.on = False
+        self.seen: list[str] = []
+        sys.addaudithook(self._look)
+
+    def _look(self, event: str, _arguments: object) -> None:
+        if self.on and event in PROGRAM_STARTS:
+            self.seen.append(event)
+
+
+def test_the_service_starts_no_program_to_replace_a_dead_process(recorder: Recorder) -> None:
+    """It would stop all its threads until the program is loaded: longer than its watchdog waits."""
+    watch = Watch()
+    first = pid(recorder)
+    watch.on = True
+    try:
+        os.kill(first, signal.SIGKILL)
+        until(recorder, lambda: recorder._child is not None and pid(recorder) != first)
+        put(recorder, list(drive(20)))
+        until(recorder, lambda: settled(recorder) == 20)
+    finally:
+        watch.on = False
+    assert watch.seen == []
+
+
+def test_without_the_process_that_starts_others_a_dead_one_stays_dead_and_is_told(recorder: Recorder) -> None:
+    put(recorder, list(drive(10)))
+    until(recorder, lambda: settled(recorder) == 10)
+    os.kill(recorder._spawner.pid, signal.SIGKILL)
+    first = pid(recorder)
+    put(recorder, list(drive(10, first=10)))
+    until(recorder, lambda: settled(recorder) == 20)  # the one that lives goes on
+    assert recorder.health()["alive"]
+    os.kill(first, signal.SIGKILL)
+    until(recorder, lambda: "the process that starts it is gone" in (recorder.error or ""))
+    assert not recorder.health()["alive"]
+    assert [gap.reason for gap in read(recorder).gaps] == []
+    assert not recorder.close(PATIENCE_S)
+
+
+def test_recorders_outlive_the_process_that_started_them(recorder: Recorder) -> None:
+    put(recorder, list(drive(10)))
+    recorder._spawner.close()
+    put(recorder, list(drive(10, first=10)))
+    recorder.close(PATIENCE_S)
+    assert read(recorder).complete
+
+
 def test_closing_after_the_process_died_says_so_at_once(recorder: Recorder) -> None:
     os.kill(pid(recorder), signal.SIGKILL)
-    os.waitid(os.P_PID, pid(recorder), os.WEXITED | os.WNOWAIT)
+    until(recorder, lambda: recorder._child is None)
     put(recorder, list(drive(5)))
     started = time.monotonic()
     assert not recorder.close(PATIENCE_S)
