@@ -149,6 +149,14 @@ class Client:
         """Asks to release the emergency stop or to clear a fault."""
         return self._ask(keys.RESET, None, timeout)
 
+    def stand_up(self, timeout: float = 2.0) -> ResetAnswer:
+        """Says that somebody holds a robot that balances, upright; it stands up when it is armed within 10 s."""
+        return self._ask(keys.STAND_UP, None, timeout)
+
+    def let_down(self, timeout: float = 2.0) -> ResetAnswer:
+        """Says that somebody holds a robot that balances; it lets go within a second. Send no commands meanwhile."""
+        return self._ask(keys.LET_DOWN, None, timeout)
+
     def reference(self, motor: str | None = None, angle: SupportsFloat = 0.0, timeout: float = 2.0) -> ResetAnswer:
         """Says that a steered joint (the only one, where `motor` is None) stands at this angle now, rad at the output.
 

@@ -104,9 +104,12 @@ class Limits(Section):
 
 
 class Stop(Section):
-    """What an emergency stop ends in (IEC 60204-1): category 1 releases the motors at rest, 2 goes on holding them."""
+    """What an emergency stop ends in (IEC 60204-1): category 1 releases the motors at rest, 2 goes on holding them.
 
-    category: Literal[1, 2] = 1
+    A robot that balances stays upright with both until it is let down; with 0 it is let go at once, and falls.
+    """
+
+    category: Literal[0, 1, 2] = 1
 
 
 class Degraded(Section):

@@ -163,6 +163,8 @@ class RequestKind(Enum):
     SHUTDOWN = "shutdown"
     REFERENCE = "reference"  # somebody says at which angle a steered joint stands now
     SET = "set"  # another value of a setting
+    STAND_UP = "stand_up"  # somebody holds a robot that is to balance
+    LET_DOWN = "let_down"  # somebody holds a robot that is to balance no more
 
 
 class Request(NamedTuple):

@@ -1,16 +1,42 @@
 """Four mecanum wheels in line whose two pairs go apart while driving, on ball casters (ODD, arXiv 2407.10127)."""
 
 from collections.abc import Sequence
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
 
 from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.control.balance import BalancingLaw
 from gateway.control.decoupled import Saturation
-from gateway.control.drive_law import SpeedLaw
+from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.odd_law import RATE, OddLaw, Yields
+from gateway.control.pendulum import BalanceError, BalanceGains, Standing, objection, pendulum, unfit
+from gateway.control.posture import Posture
 from gateway.kinematics.linear import Matrix
-from gateway.kinematics.odd import AXES, OddGeometry, OddKinematics
+from gateway.kinematics.odd import AXES, WHEELS, OddGeometry, OddKinematics
 from gateway.sections import Angle, Body, Length, Name, Section
 from gateway.types import Rates
+
+
+class Balance(Section):
+    """A robot that stands on its wheels alone: its body as a pendulum over their axle, gains, and how far it may lean.
+
+    What the gains are for is in `gateway.control.pendulum`. `lag`: by which the motors follow at worst.
+    """
+
+    height: Annotated[float, Field(ge=0.01, le=5.0, description="m, of the centre of mass above the axle")]
+    pitch_inertia: Annotated[float, Field(gt=0.0, le=1000.0, description="kg m^2 about the centre of mass")]
+    pitch: Annotated[float, Field(gt=0.0, le=100.0, description="m/s per rad")]
+    pitch_rate: Annotated[float, Field(gt=0.0, le=100.0, description="m per rad")]
+    velocity: Annotated[float, Field(ge=0.0, le=100.0, description="1")]
+    position: Annotated[float, Field(ge=0.0, le=100.0, description="1/s")]
+    catch: Annotated[float, Field(ge=0.02, le=0.5, description="rad, from which it stands up")] = 0.12
+    fall: Annotated[float, Field(ge=0.1, le=1.2, description="rad, beyond which it lets go")] = 0.6
+    lag: Annotated[float, Field(ge=0.001, le=0.2, description="s")] = 0.02
+
+    def gains(self) -> BalanceGains:
+        """For the law."""
+        return BalanceGains(self.pitch, self.pitch_rate, self.velocity, self.position)
 
 
 class OddRobot(Section):
@@ -36,6 +62,18 @@ class OddRobot(Section):
     wheels: tuple[Name, Name, Name, Name]
     yields: Yields = Yields.ALL
     width_sensor: Literal[0, 1, 2, 3] | None = None
+    balance: Balance | None = None
+
+    @model_validator(mode="after")
+    def _stays_upright(self) -> Self:
+        if self.balance is None:
+            return self
+        problem = objection(self.balance.gains(), self._standing(self.balance).body)
+        if problem is None and self.balance.catch >= self.balance.fall:
+            problem = f"catch = {self.balance.catch:g}: must be below fall, {self.balance.fall:g}"
+        if problem is not None:
+            raise ValueError(f"balance.{problem}")
+        return self
 
     def motor_names(self) -> tuple[str, ...]:
         """Wheels from left to right."""
@@ -56,16 +94,20 @@ class OddRobot(Section):
         """It does not."""
 
     def channels(self) -> tuple[ChassisChannels, ...]:
-        """Its width."""
-        return (ChassisChannels("width", ("width",), "m", "Width [m]", lambda numbers: numbers[:1]),)
+        """Its width, and how its wheels roll to keep it upright."""
+        width = ChassisChannels("width", ("width",), "m", "Width [m]", lambda numbers: numbers[:1])
+        if self.balance is None:
+            return (width,)
+        told = ChassisChannels("balance", ("rolled",), "m/s", "Rolled to balance [m/s]", lambda numbers: numbers[1:2])
+        return width, told
 
-    def law(self, parts: LawParts) -> OddLaw:
-        """Every wheel at its speed, within the range of the width."""
+    def law(self, parts: LawParts) -> DriveLaw:
+        """Every wheel at its speed, within the range of the width; upright, if nothing else keeps it so."""
         kinematics = parts.kinematics
         if not isinstance(kinematics, OddKinematics):
             message = "kinematics of another chassis"
             raise TypeError(message)
-        return OddLaw(
+        law = OddLaw(
             kinematics,
             wheels=SpeedLaw(kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period),
             top_speeds=parts.top_speeds,
@@ -73,6 +115,41 @@ class OddRobot(Section):
             yields=self.yields,
             place=self.width_sensor,
         )
+        return law if self.balance is None else self._balancing(self.balance, law, parts)
+
+    def _balancing(self, balance: Balance, wheels: OddLaw, parts: LawParts) -> BalancingLaw:
+        standing = self._standing(balance)
+        torques = [pusher.torque for pusher in parts.pushers]
+        problem = unfit(
+            standing,
+            speed=parts.velocity[0],
+            wheel_speed=min(parts.top_speeds),
+            push=WHEELS * min(torques) / self.radius,
+            period=parts.period,
+            delay=parts.delay,
+        )
+        if problem is not None:
+            raise BalanceError(problem)
+        return BalancingLaw(
+            wheels,
+            parts.kinematics,
+            Posture(catch=balance.catch, fall=balance.fall),
+            standing,
+            braking=parts.acceleration[0],
+            top_speeds=parts.top_speeds,
+            torques=torques,
+            period=parts.period,
+        )
+
+    def _standing(self, balance: Balance) -> Standing:
+        body = pendulum(
+            mass=self.body.mass,
+            height=balance.height,
+            pitch_inertia=balance.pitch_inertia,
+            radius=self.radius,
+            wheel_inertia=WHEELS * self.body.joint_inertia,
+        )
+        return Standing(balance.gains(), body, self.radius, self.body.mass, balance.catch, balance.lag)
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """Two equal halves on slides, at the width of the start."""

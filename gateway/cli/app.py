@@ -28,6 +28,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "watch": "operate",
     "stop": "operate",
     "reference": "reference",
+    "stand": "stand",
     "set": "setting",
     "calibrate": "calibrate",
     "demo": "demo",

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, Protocol
 
 from drivers.setpoint import CommandKind, Setpoint
 from gateway.control.limits import Ground, excess
+from gateway.control.posture import Posture
 from gateway.kinematics.contract import Estimate, Kinematics, desaturate
 from gateway.types import Attitude, Event, Facts, Rates, Region, TwistCommand
 
@@ -127,6 +128,11 @@ class DriveLaw(Protocol):
         ...
 
     @property
+    def posture(self) -> Posture | None:
+        """How it stands, of a robot that would fall when it is let go; None: it stands by itself. The same for ever."""
+        ...
+
+    @property
     def settings(self) -> Mapping[str, float]:
         """What of it may be set while it drives (`gateway.core.settings`), as it is at the start."""
         ...
@@ -204,6 +210,11 @@ class SpeedLaw:
     def features(self) -> Features:
         """What the axes of the chassis let it do."""
         return self._features
+
+    @property
+    def posture(self) -> Posture | None:
+        """It stands by itself."""
+        return None
 
     @property
     def settings(self) -> Mapping[str, float]:

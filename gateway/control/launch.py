@@ -27,6 +27,7 @@ from gateway.control.drive_law import Features, JointCommand, Measured, Motion, 
 from gateway.control.grip import Cone, Grip, Three, part_of, room
 from gateway.control.launch_slip import LaunchSlip, Losses, Told
 from gateway.control.limits import TURNING_SHARE, Ground, excess
+from gateway.control.posture import Posture
 from gateway.control.transmission import Winding
 from gateway.types import Event, Facts, Level, Rates, Region
 
@@ -137,6 +138,11 @@ class LaunchLaw:
     def features(self) -> Features:
         """Twists, and what the floor gives."""
         return self._features
+
+    @property
+    def posture(self) -> Posture | None:
+        """It stands by itself."""
+        return None
 
     @property
     def settings(self) -> Mapping[str, float]:

@@ -15,6 +15,7 @@ from typing import Final
 
 from gateway.control.drive_law import Features, Measured, Motion, SpeedLaw
 from gateway.control.limits import Ground
+from gateway.control.posture import Posture
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.odd import OddKinematics
 from gateway.types import Facts, Rates, Region
@@ -65,6 +66,11 @@ class OddLaw:
     def features(self) -> Features:
         """Its width."""
         return self._features
+
+    @property
+    def posture(self) -> Posture | None:
+        """It stands by itself."""
+        return None
 
     @property
     def settings(self) -> Mapping[str, float]:

@@ -19,6 +19,7 @@ from gateway.arithmetic import angle_of, sin_cos
 from gateway.control.compensation import Compensation, PathRate, RegionAt, region_at, region_refusal
 from gateway.control.drive_law import Features, JointCommand, Measured, Motion, SpeedLaw
 from gateway.control.limits import Ground
+from gateway.control.posture import Posture
 from gateway.control.pull_region import Pull, Region, examine, flip_speeds, flip_way, settled, turn_radius, wrapped
 from gateway.control.region_policy import RegionPolicy, Seen, still
 from gateway.control.wheel_acceleration import FlipLimit, pace, within
@@ -109,6 +110,11 @@ class OffsetDifferentialLaw:
     def features(self) -> Features:
         """Twists, and regions where the robot file lets the robot get there."""
         return self._features
+
+    @property
+    def posture(self) -> Posture | None:
+        """It stands by itself."""
+        return None
 
     @property
     def settings(self) -> Mapping[str, float]:

@@ -13,6 +13,7 @@ from gateway.control.drive_law import DriveLaw
 from gateway.control.grip import GripError
 from gateway.control.launch import Pusher
 from gateway.control.limits import TwistLimiter
+from gateway.control.pendulum import BalanceError
 from gateway.control.speed_loop import SpeedLoop
 from gateway.control.transmission import Transmission, Winding
 from gateway.control.wheel_limits import WheelLimits
@@ -61,6 +62,10 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         law = config.robot.law(_law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops))))
     except GripError as lame:  # mypyc wants one kind of error by one name
         raise ConfigError(origin, [f"robot.grip: {lame}"]) from None
+    except BalanceError as unfit:
+        raise ConfigError(origin, [f"robot.balance: {unfit}"]) from None
+    if config.stop.category == 0 and law.posture is None:
+        raise ConfigError(origin, ["stop.category = 0: must be 1 or 2: only a robot that balances is let go at once"])
     return Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,

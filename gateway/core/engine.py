@@ -23,6 +23,7 @@ from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, Measured, Motion
 from gateway.control.limits import excess, scale_to
+from gateway.control.posture import Posture, Stance
 from gateway.control.slip_correction import SlipCorrection
 from gateway.core import snapshot as snapshots
 from gateway.core.ability import FULL, Abilities, Ability
@@ -83,12 +84,14 @@ _SILENT: Final = MotorState.SILENT
 # Tuples: to look a member up by its hash, which is a function of Python, takes longer.
 DRIVING: Final = (Mode.DRIVE, Mode.DEGRADED)
 HOLDING: Final = (Mode.STARTING, Mode.DRIVE, Mode.DEGRADED, Mode.STOPPING)
+POSTURES: Final = (RequestKind.STAND_UP, RequestKind.LET_DOWN)
 ARMING_TIMEOUT_NS: Final = 3_000_000_000
 ANSWER_TIME_NS: Final = 3_000_000_000  # since anybody answered anew; only then is a silent motor one to drive without
 BRAKING: Final = (Mode.STOPPING, Mode.FAULT)
 # On entering these every source needs a new zero.
 DISMISSING: Final = (Mode.IDLE, Mode.ESTOP, Mode.FAULT)
 MAX_STEP_PERIODS: Final = 5  # a longer pause of the loop is no time in which the setpoint may have moved on
+RELEASED: Final = 0  # the stop category that lets go at once, of a robot that balances
 HELD: Final = 2  # the stop category that goes on holding at rest (IEC 60204-1)
 SLACK: Final = 0.1  # of top speed by which a braking setpoint may be ahead of the measured motion
 RETREAT: Final = 5.0  # top speeds per second at which it is taken back beyond that: no step, whatever was measured
@@ -110,6 +113,7 @@ class Engine:
         self._law = robot.law
         self._selects = robot.law.features.choices  # the law has a say in what is driven towards
         self._grips = robot.law.features.grip
+        self._posture = robot.law.posture
         self._motors = Motors(robot)
         self._arbiter = Arbiter(config.commands.source, robot.law.features)
         axes = robot.kinematics.axes
@@ -164,6 +168,8 @@ class Engine:
         dt = self._elapsed(now_ns)
         inputs = self._receive(inputs)
         self._measured = measured = self._measure(now_ns, dt)
+        if self._posture is not None:
+            self._look_at(self._posture, measured)
         health = self._judge(measured)
         self._believable = health.brakable
         adrift = self._adrift(measured)
@@ -177,7 +183,9 @@ class Engine:
         frames = self._command(motion, measured, health)
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is _IDLE else selection.command
-        reason = waiting_for(self._mode, faults=health.faults, command=command, shutdown=self._shutdown)
+        reason = waiting_for(
+            self._mode, faults=health.faults, command=command, shutdown=self._shutdown, posture=self._posture
+        )
         events = self._reporter.events(
             inputs,
             mode=self._mode,
@@ -233,6 +241,12 @@ class Engine:
         return None not in measured.speeds and not self._motors.turning(measured)
 
     # receive and measure
+
+    def _look_at(self, posture: Posture, measured: Measured) -> None:
+        """How it leans; a fall is over when what has fallen lies still."""
+        posture.look(measured.attitude, measured.now_ns)
+        if posture.fallen is not None and self._rested(measured.now_ns):
+            posture.lies()
 
     def _elapsed(self, now_ns: int) -> float:
         last_ns, self._last_ns = self._last_ns, now_ns
@@ -386,8 +400,10 @@ class Engine:
         return (Event(Level.WARNING, "limp_ended", text),)
 
     def _other_faults(self, measured: Measured) -> list[Fault]:
-        """Buses that are down, and joints that are heard but stand at an angle nobody knows."""
+        """Buses that are down, a fall, and joints that are heard but stand at an angle nobody knows."""
         faults = [Fault(FaultKind.BUS, bus, text, latched=False) for bus, text in self._buses_down.items()]
+        if self._posture is not None and self._posture.fallen is not None:
+            faults.append(Fault(FaultKind.FALLEN, self._robot_name, self._posture.fallen, latched=False))
         for index, why in self._trust.unknown.items():
             if measured.positions[index] is not None:
                 text = f"{UNKNOWN} ({why}): drivegate reference {self._robot_name}"
@@ -410,6 +426,8 @@ class Engine:
                 granted = refusal is None
             elif request.kind is RequestKind.SET:
                 refusal = self._settings.set(request.setting, request.value)
+            elif request.kind in POSTURES:
+                refusal = self._pose_as_asked(request.kind)
             else:
                 continue
             replies.append(Reply(request.id, refusal is None, refusal))
@@ -417,6 +435,17 @@ class Engine:
             self._health.reset()
             self._motors.clear_faults()
         return tuple(replies), granted
+
+    def _pose_as_asked(self, kind: RequestKind) -> str | None:
+        """Get ready to stand up, or give way to who holds it; why not, if not."""
+        posture = self._posture
+        if posture is None:
+            return "this robot stands by itself"
+        if kind is RequestKind.STAND_UP:
+            return posture.stand_up() if self._mode is _IDLE else f"it stands up from idle: it is in {self._mode.value}"
+        if self._mode in DRIVING or self._mode is _STARTING:
+            return f"the robot is in mode {self._mode.value}; it is let down while nobody drives it"
+        return posture.let_down() if self._standstill.standing is not False else "the robot still moves"
 
     def _refusal_of_reset(self, now_ns: int, *, estop: bool) -> str | None:
         if estop:
@@ -465,14 +494,15 @@ class Engine:
                 estop=bool(inputs.requests) and any(one.kind is RequestKind.ESTOP for one in inputs.requests),
                 reset=granted,
                 shutdown=self._shutdown,
-                blocked=not well and self._ability is None,
+                blocked=not well and (self._ability is None or self._fallen),
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
                 reduced=not all(health.usable),
-                commanded=selection.command is not None,
+                commanded=selection.command is not None and self._may_drive,
                 start=self._mode is _IDLE
                 and selection.command is not None
                 and selection.command.still
+                and (self._posture is None or self._posture.objection() is None)
                 and (well or self._had_time_to_answer(now_ns)),
                 armed=not unarmed,
                 overdue=overdue,
@@ -486,6 +516,15 @@ class Engine:
         if mode is _FAULT and overdue:
             self._latch_unarmed(unarmed)
         self._enter(mode, now_ns)
+
+    @property
+    def _fallen(self) -> bool:
+        return self._posture is not None and self._posture.fallen is not None
+
+    @property
+    def _may_drive(self) -> bool:
+        """Not a robot that is being let down, or is down; what is in IDLE may be about to stand up."""
+        return self._posture is None or self._mode is _IDLE or self._posture.stance is Stance.UP
 
     def _had_time_to_answer(self, now_ns: int) -> bool:
         """Whether a motor that is silent now is not just one that comes later than the others."""
@@ -511,10 +550,14 @@ class Engine:
             self._arbiter.dismiss(now_ns)
         if mode is _IDLE:
             self._energised = False
+            if self._posture is not None:
+                self._posture.rest()
             self._law.forget_told()  # at a robot that stands it may not have come to zero: a wall stops faster
             self._health.forgive()
         elif mode is _STARTING:
             self._energised = True
+            if self._posture is not None:
+                self._posture.rise()
 
     # limit
 
@@ -651,6 +694,8 @@ class Engine:
         """At rest the motors are released, unless stop category, slope or chassis ask for more; rolling is braked."""
         if self._mode in HOLDING:
             return
+        if self._mode is _ESTOP and self._stop_category == RELEASED and self._posture is not None:
+            self._posture.rest()
         if self._mode is _ESTOP and not self._energised and self._standstill.rolls(now_ns):
             self._energised = self._rolled = True
         held = self._mode is _ESTOP and (self._stop_category == HELD or self._rolled) and not self._shutdown

@@ -40,6 +40,7 @@ class FaultKind(Enum):
     TWIN = "twin"  # two controllers answer as one
     POSITION_UNKNOWN = "position_unknown"  # a joint angle the geometry needs
     ARMING = "arming"  # a motor did not become operational in time
+    FALLEN = "fallen"  # a robot that balances leans too far, or nobody knows how far
     BUS = "bus"  # the bus cannot send or receive
 
 

@@ -5,6 +5,7 @@ from math import floor
 from typing import Final
 
 from gateway.config import RobotConfig
+from gateway.control.posture import Posture
 from gateway.core.health import Fault
 from gateway.types import (
     BusEvent,
@@ -227,7 +228,14 @@ class Reporter:
         return [Event(_MODE_LEVELS.get(mode, Level.INFO), f"mode_{mode.value}", text)]
 
 
-def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | None, shutdown: bool) -> str | None:
+def waiting_for(
+    mode: Mode,
+    *,
+    faults: Sequence[Fault],
+    command: TwistCommand | None,
+    shutdown: bool,
+    posture: Posture | None = None,
+) -> str | None:
     """Why the robot does not drive, in words; None when it does."""
     if mode is _STOPPING:
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
@@ -235,7 +243,8 @@ def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | 
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
     if mode is _IDLE and command is not None and not command.still:
         return f"waiting for a zero command from {command.source}"
-    return _REASONS.get(mode)
+    down = None if posture is None or mode is not _IDLE else posture.objection()
+    return down or _REASONS.get(mode)
 
 
 def _counted(level: Level, code: str, text: str, count: int) -> list[Event]:

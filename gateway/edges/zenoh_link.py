@@ -8,7 +8,7 @@ one publisher thread.
 Anyone may put, delete or get `**`, which reaches every key. Therefore:
 - a twist drives only when it was put on exactly the key of a configured source; a sample likewise of a sensor;
 - whatever reaches `cmd/stop` stops, also a delete or a wildcard: a stop too many is safe, a missed one is not;
-- a reset, a reference or a setting counts only when asked by its exact key: a get on `**` is how people look around;
+- whatever is asked of the robot counts only when asked by its exact key: a get on `**` is how people look around;
 - everything else under `cmd/` and `sensor/` is refused and reported.
 """
 
@@ -85,7 +85,7 @@ class ZenohLink:
         self._receivers.subscribe(self._key(keys.SENSORS), self._refuse_strange_sample, ring=MAX_STRANGERS)
         answers = iter(self._questions.next_reply, END)
         self._answering = self._receivers.pump("answers", answers, self._questions.settle)
-        for rest, read in ((keys.RESET, _reset), (keys.REFERENCE, _reference), (keys.SET, _set)):
+        for rest, read in QUESTIONS.items():
             self._receivers.answer(self._key(rest), partial(self._ask, rest, read), ring=MAX_CROWD)
         for asked, told in ((keys.STATUS, keys.STATE), (keys.REACHABLE, keys.REACHABLE)):
             self._receivers.answer(self._key(asked), partial(self._answer_newest, asked, told), ring=MAX_LOOKS)
@@ -245,10 +245,6 @@ def _sample(received: zenoh.Sample, sensor: Sensor, received_ns: int) -> SampleM
     return messages.parse_sample(payload, sensor=sensor.name, kind=sensor.kind, received_ns=received_ns)
 
 
-def _reset(_: bytes, received_ns: int) -> Request:
-    return Request(RequestKind.RESET, 0, received_ns)
-
-
 def _reference(payload: bytes, received_ns: int) -> Request | str:
     reference = messages.parse_reference(payload)
     return reference if isinstance(reference, str) else Request(RequestKind.REFERENCE, 0, received_ns, *reference)
@@ -259,3 +255,17 @@ def _set(payload: bytes, received_ns: int) -> Request | str:
     if isinstance(change, str):
         return change
     return Request(RequestKind.SET, 0, received_ns, setting=change.setting, value=change.value)
+
+
+def _bare(kind: RequestKind, _: bytes, received_ns: int) -> Request:
+    """One that has nothing to say but its kind."""
+    return Request(kind, 0, received_ns)
+
+
+QUESTIONS: Mapping[str, Callable[[bytes, int], Request | str]] = {
+    keys.RESET: partial(_bare, RequestKind.RESET),
+    keys.STAND_UP: partial(_bare, RequestKind.STAND_UP),
+    keys.LET_DOWN: partial(_bare, RequestKind.LET_DOWN),
+    keys.REFERENCE: _reference,
+    keys.SET: _set,
+}

@@ -171,6 +171,10 @@ def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Clie
             client.stop(timeout=0.0)  # waiting for its confirmation would delay what follows
         elif one.kind is RequestKind.RESET:
             client.reset()
+        elif one.kind is RequestKind.STAND_UP:
+            client.stand_up()
+        elif one.kind is RequestKind.LET_DOWN:
+            client.let_down()
         elif one.kind is RequestKind.REFERENCE:
             client.reference(one.motor, one.angle or 0.0)
         elif one.kind is RequestKind.SET:

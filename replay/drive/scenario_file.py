@@ -87,7 +87,7 @@ class At(_Section):
     t: Time
     command: Command | None = None
     silence: Name | None = None
-    request: Literal["estop", "reset", "shutdown", "restart", "reference"] | None = None
+    request: Literal["estop", "reset", "shutdown", "restart", "reference", "stand_up", "let_down"] | None = None
     angle: JointAngle | None = None  # of a reference, from the joint's zero
     set: dict[Name, float] | None = None  # settings with their new values
     fault: Fault | None = None

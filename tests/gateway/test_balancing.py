@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from drivers.contract import DriverFault, MotorState
 from drivers.setpoint import CommandKind
 from gateway.control.drive_law import TWISTS, Features, JointCommand, Measured, Motion
+from gateway.control.posture import Posture
 from gateway.types import ZERO_TWIST, Facts, Mode, Rates, Region, RequestKind, Twist
 from tests.gateway.test_engine_rules import FORWARD, Stand
 
@@ -35,6 +36,10 @@ class Balance:
     @property
     def features(self) -> Features:
         return TWISTS
+
+    @property
+    def posture(self) -> Posture | None:
+        return None
 
     @property
     def settings(self) -> Mapping[str, float]:

@@ -36,7 +36,7 @@ from gateway.edges.messages import (
     encode_event,
     encode_twist,
 )
-from gateway.edges.zenoh_link import NOT_EXACT, ZenohLink
+from gateway.edges.zenoh_link import NOT_EXACT, QUESTIONS, ZenohLink
 from gateway.edges.zenoh_questions import NO_ANSWER, TOO_MANY
 from gateway.edges.zenoh_session import LinkError, Receivers, open_zenoh
 from gateway.types import (
@@ -542,7 +542,7 @@ def test_after_the_crowd_there_is_room_again(loop: Loop, client: Client, strange
 def test_looking_around_asks_for_nothing(loop: Loop, stranger: zenoh.Session) -> None:
     replies = [reply.ok for reply in stranger.get("moby/**", timeout=TIMEOUT_S)]
     answers = {str(sample.key_expr): sample.payload.to_string() for sample in replies if sample}
-    for rest in ("cmd/reset", "cmd/reference", "cmd/set"):
+    for rest in QUESTIONS:
         assert NOT_EXACT in answers[f"moby/{rest}"]
     loop.cycle()
     assert not loop.requests

@@ -1,0 +1,165 @@
+"""A body that leans over the axle of its wheels, and whether gains keep it upright.
+
+How this works
+--------------
+About the upright, pitch th (forward is positive) and the speed v of the axle, with wheels of radius r that push the
+floor back with what they push the body back:
+
+    a th'' = c th - b v',   a = I + m l^2 + r m l,   b = m l + r (m + J / r^2),   c = m g l
+
+m, l and I are mass, height above the axle and inertia of the body, J of all wheels together. The wheels are told
+
+    v = v0 + Kp (th - th0) + Kd th' + kv (v - v0) + ki (integral of v - v0),   th0 = (b / c) v0'
+
+which has its poles where ((1 - kv) s - ki)(a s^2 - c) + b s^2 (Kp + Kd s) = 0. By Routh they are stable if and only if
+
+    kv > 1,   ki > 0,   b Kd > a (kv - 1),   b Kp > a ki,   (b Kp - a ki)(kv - 1) > (b Kd - a (kv - 1)) ki:
+
+the speed must be fed back positively. Source: arXiv 2407.10127 (balance by PD of the pitch and PI of the velocity); the
+conditions are derived, there are none in print. The torques of the wheels on the body are ours to add.
+"""
+
+from typing import Final, NamedTuple
+
+GRAVITY: Final = 9.80665  # m/s^2
+_LONGEST: Final = 5.0  # s that are looked at
+_SETTLED: Final = 1.0  # s of them, at their end, in which it has to stand
+_STEPS: Final = 8  # of each cycle
+_FAR: Final = 1.5  # rad: it has fallen, whatever comes after
+
+
+class BalanceError(ValueError):
+    """A robot that would not stay upright; the text names key, value and range."""
+
+
+class Pendulum(NamedTuple):
+    """a, kg m^2; b, kg m; c, N m/rad: as above."""
+
+    inertia: float
+    coupling: float
+    gravity: float
+
+    def lean(self, acceleration: float) -> float:
+        """Pitch at which it speeds up by so many m/s^2 without falling, rad."""
+        return self.coupling / self.gravity * acceleration
+
+
+def pendulum(*, mass: float, height: float, pitch_inertia: float, radius: float, wheel_inertia: float) -> Pendulum:
+    """Of a body, kg, m and kg m^2 about its centre of mass, on wheels, m and kg m^2 of all together."""
+    moment = mass * height
+    return Pendulum(
+        inertia=pitch_inertia + moment * height + radius * moment,
+        coupling=moment + radius * mass + wheel_inertia / radius,
+        gravity=moment * GRAVITY,
+    )
+
+
+class BalanceGains(NamedTuple):
+    """m/s per rad; m per rad; 1; 1/s."""
+
+    pitch: float
+    pitch_rate: float
+    velocity: float
+    position: float
+
+
+def objection(gains: BalanceGains, body: Pendulum) -> str | None:
+    """Why these gains do not balance this body, with the range of what is wrong; None: they do, on ideal wheels."""
+    a, b, _ = body
+    kp, kd, kv, ki = gains
+    if kv <= 1.0:
+        return f"velocity = {kv:g}: must be above 1: only a speed that is fed back positively balances"
+    if ki <= 0.0:
+        return f"position = {ki:g}: must be above 0"
+    if b * kd <= a * (kv - 1.0):
+        return f"pitch_rate = {kd:g}: must be above {a * (kv - 1.0) / b:.4g} for this body and this velocity"
+    if b * kp <= a * ki:
+        return f"pitch = {kp:g}: must be above {a * ki / b:.4g} for this body and this position"
+    least = (a * ki + (b * kd - a * (kv - 1.0)) * ki / (kv - 1.0)) / b
+    if kp <= least:
+        return f"pitch = {kp:g}: must be above {least:.4g} for this body and the other gains"
+    return None
+
+
+class Standing(NamedTuple):
+    """A body, kg, that is kept upright by wheels of this radius, m, from a pitch of `catch`, rad.
+
+    `lag`: time constant by which the wheels follow, s.
+    """
+
+    gains: BalanceGains
+    body: Pendulum
+    radius: float
+    mass: float
+    catch: float
+    lag: float
+
+
+def unfit(robot: Standing, *, speed: float, wheel_speed: float, push: float, period: float, delay: float) -> str | None:
+    """Why it cannot catch itself, with the range of what is wrong; None: it can.
+
+    `speed`: m/s that may be commanded; `wheel_speed`: rad/s that the wheels can turn; `push`: N of all together.
+    """
+    room = robot.radius * wheel_speed - speed
+    if room < robot.gains.pitch * robot.catch:
+        return (
+            f"catch = {robot.catch:g}: must be at most {max(room, 0.0) / robot.gains.pitch:.3g}: at limits.velocity.vx"
+            f" = {speed:g} m/s the wheels have {room:.3g} m/s left to catch it"
+        )
+    needed = robot.mass * robot.catch * robot.body.gravity / robot.body.coupling
+    if push < needed:
+        return (
+            f"catch = {robot.catch:g}: must be at most {robot.catch * push / needed:.3g}: the wheels push with"
+            f" {push:.3g} N, and to catch it takes {needed:.3g} N"
+        )
+    if recovery(robot, period=period, delay=delay) is None:
+        return (
+            f"these gains do not catch it from catch = {robot.catch:g} rad, with a loop of {1.0 / period:g} Hz and"
+            f" wheels that follow by lag = {robot.lag:g} s: weaker gains, a faster loop, or less to catch"
+        )
+    return None
+
+
+def recovery(robot: Standing, *, period: float, delay: float) -> float | None:
+    """Seconds until it leans for good a tenth of what it was let go at, at rest; None: it falls, or swings on.
+
+    `delay`: age of what is measured, s; `period`: of the loop, s.
+    """
+    late = int(delay / period + 0.5)
+    old: list[_State] = []  # measurements on their way
+    now, way, left = _State(robot.catch, 0.0, 0.0), 0.0, 0.0
+    for cycle in range(int(_LONGEST / period)):
+        old.append(now)
+        seen = old[max(cycle - late, 0)]
+        way += seen.speed * period
+        now = _after(robot, now, _told(robot.gains, seen, way), period)
+        if abs(now.pitch) > _FAR:
+            return None
+        if abs(now.pitch) >= 0.1 * robot.catch:
+            left = (cycle + 1) * period
+    return left if left < _LONGEST - _SETTLED else None
+
+
+class _State(NamedTuple):
+    pitch: float
+    rate: float
+    speed: float
+
+
+def _told(gains: BalanceGains, seen: _State, way: float) -> float:
+    """M/s that the wheels are told at rest."""
+    kp, kd, kv, ki = gains
+    return kp * seen.pitch + kd * seen.rate + kv * seen.speed + ki * way
+
+
+def _after(robot: Standing, now: _State, told: float, period: float) -> _State:
+    """A cycle later."""
+    a, b, c = robot.body
+    pitch, rate, speed = now
+    step = period / _STEPS
+    for _ in range(_STEPS):
+        change = (told - speed) / robot.lag
+        rate += step * (c * pitch - b * change) / a
+        speed += step * change
+        pitch += step * rate
+    return _State(pitch, rate, speed)
