@@ -16,8 +16,7 @@ from gateway.types import ZERO_TWIST, Pose, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import PLANTS, plant_of
-from replay.sim.plants.contract import Plant, PlantName
-from replay.sim.plants.odd import OddPlant
+from replay.sim.plants.contract import Plant, PlantName, WithSlides
 
 ROBOTS = Path(__file__).parents[2] / "deploy" / "robots"
 Torques = tuple[float, ...]
@@ -132,7 +131,7 @@ def test_the_work_of_the_torques_becomes_energy(subject: Subject) -> None:
 def of_the_core(subject: Subject, plant: Plant) -> list[float]:
     """Joint rates as the core's kinematics has them of how the plant moves, width included."""
     kinematics = subject.robot.kinematics()
-    if isinstance(plant, OddPlant):
+    if isinstance(plant, WithSlides):
         kinematics.width.metres = plant.width
         return list(kinematics.wheel_speeds((*plant.twist, plant.width_rate), plant.angles))
     return list(kinematics.wheel_speeds(plant.twist, plant.angles))

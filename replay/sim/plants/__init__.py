@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from replay.sim.plants import mecanum, odd, offset_caster, offset_differential, omni, omni_dynamics
+from replay.sim.plants import mecanum, odd, odd_dynamics, offset_caster, offset_differential, omni, omni_dynamics
 from replay.sim.plants.contract import Plant, PlantName
 
 PLANTS: dict[str, dict[PlantName, Callable[[Any], Plant]]] = {
     "omni": {PlantName.SIMPLE: omni.plant, PlantName.DYNAMICS: omni_dynamics.plant},
     "mecanum": {PlantName.SIMPLE: mecanum.plant},
-    "odd": {PlantName.SIMPLE: odd.plant},
+    "odd": {PlantName.SIMPLE: odd.plant, PlantName.DYNAMICS: odd_dynamics.plant},
     "offset_differential": {PlantName.SIMPLE: offset_differential.plant, PlantName.DYNAMICS: offset_caster.plant},
 }
 
