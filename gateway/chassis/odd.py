@@ -123,6 +123,7 @@ class OddRobot(Section):
         problem = unfit(
             standing,
             speed=parts.velocity[0],
+            acceleration=parts.acceleration[0],
             wheel_speed=min(parts.top_speeds),
             push=WHEELS * min(torques) / self.radius,
             period=parts.period,
@@ -135,7 +136,7 @@ class OddRobot(Section):
             parts.kinematics,
             Posture(catch=balance.catch, fall=balance.fall),
             standing,
-            braking=parts.acceleration[0],
+            acceleration=parts.acceleration[0],
             top_speeds=parts.top_speeds,
             torques=torques,
             period=parts.period,
@@ -147,7 +148,6 @@ class OddRobot(Section):
             height=balance.height,
             pitch_inertia=balance.pitch_inertia,
             radius=self.radius,
-            wheel_inertia=WHEELS * self.body.joint_inertia,
         )
         return Standing(balance.gains(), body, self.radius, self.body.mass, balance.catch, balance.lag)
 

@@ -4,7 +4,8 @@ How this works
 --------------
 Another law says how the wheels turn for a motion of the body; this one says at which speed along x they have to roll so
 that it stays upright (`gateway.control.pendulum`): PD of the pitch, PI of the speed, fed back positively, about the
-speed and the lean of the setpoint. That comes first: the other axes get what of the wheels' speed is left. Encoders
+speed and the lean of the setpoint. No motion is aimed at that leaves the wheels too little room for it, and where
+they have none left all the same, the other axes yield. Encoders
 tell how the wheels turn against the body, which turns itself: what is told and what is measured differ from rolling by
 the pitch rate. An emergency stop brings the setpoint to zero within the limits, not at once: a robot that balances
 cannot stop faster than it can lean back.
@@ -26,7 +27,7 @@ FARTHEST: Final = 0.5  # m that it may be away from where its setpoint is, as fa
 
 
 class BalancingLaw:
-    """State owner. `wheels`: how they turn for a motion; `braking`: m/s^2 of an emergency stop."""
+    """State owner. `wheels`: how they turn for a motion; `acceleration`: m/s^2 along x, of a stop too."""
 
     def __init__(
         self,
@@ -35,7 +36,7 @@ class BalancingLaw:
         posture: Posture,
         standing: Standing,
         *,
-        braking: float,
+        acceleration: float,
         top_speeds: Sequence[float],
         torques: Sequence[float],
         period: float,
@@ -46,7 +47,9 @@ class BalancingLaw:
         self._gains = standing.gains
         self._body = standing.body
         self._radius = standing.radius
-        self._braking = braking
+        self._acceleration = acceleration
+        reserve = standing.reserve(acceleration) / standing.radius
+        self._commanded = tuple([top - reserve for top in top_speeds])
         self._top_speeds = tuple(top_speeds)
         self._torques = tuple(torques)
         self._taken_up = period / (period + LEAN_TIME)
@@ -84,8 +87,11 @@ class BalancingLaw:
         return self._wheels.set(name, value)
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
-        """As the wheels."""
-        return self._wheels.aim(target, measured, region=region, path_rate=path_rate, whole=whole)
+        """As the wheels, and as slow as leaves them room to outrun it."""
+        target = self._wheels.aim(target, measured, region=region, path_rate=path_rate, whole=whole)
+        speeds = self._kinematics.wheel_speeds(target, ())
+        share = 1.0 if speeds is None else desaturate(speeds, self._commanded)
+        return target if share == 1.0 else tuple([share * axis for axis in target])
 
     def ground(self, *, whole: bool) -> Ground | None:
         """It does not know."""
@@ -97,7 +103,7 @@ class BalancingLaw:
 
     def stop(self, measured: Measured) -> Motion:
         """Upright on the shortest way to rest, and at rest."""
-        most = self._braking * measured.dt
+        most = self._acceleration * measured.dt
         reference = self._reference - max(-most, min(most, self._reference))
         size = len(self._kinematics.axes) - 1
         return self._driven((reference, *(0.0,) * size), measured, braking=True, path_rate=None)

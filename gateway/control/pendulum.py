@@ -5,9 +5,10 @@ How this works
 About the upright, pitch th (forward is positive) and the speed v of the axle, with wheels of radius r that push the
 floor back with what they push the body back:
 
-    a th'' = c th - b v',   a = I + m l^2 + r m l,   b = m l + r (m + J / r^2),   c = m g l
+    a th'' = c th - b v',   a = I + m l^2 + r m l,   b = m l + r m,   c = m g l
 
-m, l and I are mass, height above the axle and inertia of the body, J of all wheels together. The wheels are told
+m, l and I are mass, height above the axle and inertia of the robot (rotors turn against the body: theirs is within).
+The wheels are told
 
     v = v0 + Kp (th - th0) + Kd th' + kv (v - v0) + ki (integral of v - v0),   th0 = (b / c) v0'
 
@@ -19,6 +20,7 @@ the speed must be fed back positively. Source: arXiv 2407.10127 (balance by PD o
 conditions are derived, there are none in print. The torques of the wheels on the body are ours to add.
 """
 
+from math import sqrt
 from typing import Final, NamedTuple
 
 GRAVITY: Final = 9.80665  # m/s^2
@@ -44,12 +46,12 @@ class Pendulum(NamedTuple):
         return self.coupling / self.gravity * acceleration
 
 
-def pendulum(*, mass: float, height: float, pitch_inertia: float, radius: float, wheel_inertia: float) -> Pendulum:
-    """Of a body, kg, m and kg m^2 about its centre of mass, on wheels, m and kg m^2 of all together."""
+def pendulum(*, mass: float, height: float, pitch_inertia: float, radius: float) -> Pendulum:
+    """Of a body, kg, m and kg m^2 about its centre of mass, on wheels of this radius, m."""
     moment = mass * height
     return Pendulum(
         inertia=pitch_inertia + moment * height + radius * moment,
-        coupling=moment + radius * mass + wheel_inertia / radius,
+        coupling=moment + radius * mass,
         gravity=moment * GRAVITY,
     )
 
@@ -94,17 +96,27 @@ class Standing(NamedTuple):
     catch: float
     lag: float
 
+    def reserve(self, acceleration: float) -> float:
+        """M/s by which the wheels must be able to outrun what is commanded.
 
-def unfit(robot: Standing, *, speed: float, wheel_speed: float, push: float, period: float, delay: float) -> str | None:
+        To catch it, and to lean it from speeding up to slowing down by so many m/s^2 in the time it takes to fall.
+        """
+        return max(self.gains.pitch * self.catch, 2.0 * acceleration * sqrt(self.body.inertia / self.body.gravity))
+
+
+def unfit(
+    robot: Standing, *, speed: float, acceleration: float, wheel_speed: float, push: float, period: float, delay: float
+) -> str | None:
     """Why it cannot catch itself, with the range of what is wrong; None: it can.
 
-    `speed`: m/s that may be commanded; `wheel_speed`: rad/s that the wheels can turn; `push`: N of all together.
+    `speed`, m/s, and `acceleration`, m/s^2: that may be commanded; `wheel_speed`: rad/s that the wheels can turn;
+    `push`: N of all together.
     """
-    room = robot.radius * wheel_speed - speed
-    if room < robot.gains.pitch * robot.catch:
+    most = robot.radius * wheel_speed - robot.reserve(acceleration)
+    if speed > most:
         return (
-            f"catch = {robot.catch:g}: must be at most {max(room, 0.0) / robot.gains.pitch:.3g}: at limits.velocity.vx"
-            f" = {speed:g} m/s the wheels have {room:.3g} m/s left to catch it"
+            f"limits.velocity.vx = {speed:g}: must be at most {max(most, 0.0):.3g} m/s, so that the wheels can"
+            f" outrun it by {robot.reserve(acceleration):.3g} m/s to catch it"
         )
     needed = robot.mass * robot.catch * robot.body.gravity / robot.body.coupling
     if push < needed:

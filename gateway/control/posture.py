@@ -15,6 +15,7 @@ from gateway.types import Attitude
 
 READY_NS: Final = 10_000_000_000  # for so long after the request somebody holds it
 LOWERING_NS: Final = 1_000_000_000
+FALLING_NS: Final = 1_000_000_000  # a fall lasts at least so long
 
 
 class Stance(Enum):
@@ -66,7 +67,7 @@ class Posture:
         elif self.stands:
             how = self._falls()
             if how is not None:
-                self.stance, self.fallen = _DOWN, how
+                self.stance, self._since_ns, self.fallen = _DOWN, now_ns, how
 
     def objection(self) -> str | None:
         """Why it is not to be armed now, in words; None: it may be."""
@@ -104,8 +105,9 @@ class Posture:
         self.stance = _DOWN
 
     def lies(self) -> None:
-        """It lies still: the fall is over."""
-        self.fallen = None
+        """Its wheels stand: a fall that began a while ago is over."""
+        if self._now_ns - self._since_ns >= FALLING_NS:
+            self.fallen = None
 
     def _falls(self) -> str | None:
         attitude = self.attitude

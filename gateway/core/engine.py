@@ -554,6 +554,8 @@ class Engine:
                 self._posture.rest()
             self._law.forget_told()  # at a robot that stands it may not have come to zero: a wall stops faster
             self._health.forgive()
+        elif mode is _ESTOP and self._stop_category == RELEASED and self._posture is not None:
+            self._posture.rest()
         elif mode is _STARTING:
             self._energised = True
             if self._posture is not None:
@@ -694,8 +696,6 @@ class Engine:
         """At rest the motors are released, unless stop category, slope or chassis ask for more; rolling is braked."""
         if self._mode in HOLDING:
             return
-        if self._mode is _ESTOP and self._stop_category == RELEASED and self._posture is not None:
-            self._posture.rest()
         if self._mode is _ESTOP and not self._energised and self._standstill.rolls(now_ns):
             self._energised = self._rolled = True
         held = self._mode is _ESTOP and (self._stop_category == HELD or self._rolled) and not self._shutdown

@@ -108,7 +108,8 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
     "gateway.control.posture.Posture": frozenset({"_catch", "_fall"}),
     "gateway.control.balance.BalancingLaw": frozenset(
-        {"_body", "_braking", "_coasts", "_gains", "_kinematics", "_radius", "_taken_up", "_top_speeds", "_torques"}
+        {"_acceleration", "_body", "_coasts", "_commanded", "_gains", "_kinematics", "_radius", "_taken_up"}
+        | {"_top_speeds", "_torques"}
     ),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),

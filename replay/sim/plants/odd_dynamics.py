@@ -9,7 +9,8 @@ sign, and every row of the joints has -1 for the pitch rate. (The joint's inerti
 part, which turns against the body; so all of it counts for the joint's rate.)
 
 On ball casters the pitch is held at zero. Without them the body falls as it likes until it is `FALLEN` from upright:
-there it comes to rest at once, and lies until it is made to `lean` again. A body that lies takes half of the weight
+there it comes to rest at once, and lies until it is made to `lean` again. While nothing drives a robot that leans by
+less than `REACHED`, somebody holds it as it is, unless it is not `attended`. A body that lies takes half of the weight
 and drags over the floor; its wheels turn as before, and take its reaction to the floor.
 
 Wheels on slippery ground (`set_friction`) have a speed of their own: the ground pushes them along their rollers' axles
@@ -43,6 +44,8 @@ from replay.sim.plants.odd_bodies import (
 
 GRAVITY = 9.81  # m/s^2
 FALLEN = radians(60.0)
+REACHED = 0.2  # rad
+_NO_TORQUE = 1e-6  # N m
 _LYING_DRAG = 0.4  # N per N of the weight that lies
 _LYING_SHARE = 0.5
 _SLOW_JOINT = 0.05  # rad/s below which dry friction fades
@@ -55,7 +58,10 @@ _SIDES = (0.5, 0.5, -0.5, -0.5)  # of the width's rate that a wheel moves to the
 
 
 def plant(robot: OddRobot, leaning: Leaning | None = None) -> "OddDynamics":
-    """As the robot file has it; `leaning`: of a robot that balances, None: on ball casters."""
+    """As the robot file has it; `leaning`: instead of what it says of a robot that balances."""
+    balance = robot.balance
+    if leaning is None and balance is not None:
+        leaning = Leaning(balance.height, balance.pitch_inertia)
     return OddDynamics(parameters(robot, leaning), width=robot.width)
 
 
@@ -81,7 +87,7 @@ class _Next(NamedTuple):
 
 
 class OddDynamics:
-    """A plant; the writer is `step`. `loads`: N on each wheel. `fallen`: it lies."""
+    """A plant; the writer is `step`. `loads`: N on each wheel. `fallen`: it lies. `attended`: somebody is there."""
 
     def __init__(self, parameters: OddParameters, *, width: float) -> None:
         self.push = 0.0
@@ -90,6 +96,8 @@ class OddDynamics:
         self.width = width
         self.pitch = 0.0  # rad from the normal of the floor, forward and down
         self.fallen = False
+        self.attended = True
+        self._propped = False
         self.angles: tuple[float, ...] = (0.0,) * 4
         self._own = self._parameters = parameters
         self._bodies = OddBodies(parameters)
@@ -208,6 +216,9 @@ class OddDynamics:
 
     def step(self, torques: Sequence[float]) -> None:
         """One substep under constant joint torques, N m."""
+        self._propped = self.attended and abs(self.pitch) < REACHED and all(abs(one) < _NO_TORQUE for one in torques)
+        if self._propped:
+            self._u[PITCH] = 0.0
         held, outward = self._held(), self._outward()
         middle = self._middle(held)
         after = self._after(middle, torques)
@@ -223,7 +234,7 @@ class OddDynamics:
     # the equation of motion
 
     def _held(self) -> tuple[int, ...]:
-        return (PITCH,) if self._parameters.leaning is None or self.fallen else ()
+        return (PITCH,) if self._parameters.leaning is None or self.fallen or self._propped else ()
 
     def _rows(self, width: float) -> list[Rates]:
         p = self._parameters

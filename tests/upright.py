@@ -1,0 +1,88 @@
+"""A robot that balances, in virtual time on the plant of its dynamics; its IMU tells what the plant does."""
+
+from collections.abc import Callable
+
+from gateway.config import parse
+from gateway.types import (
+    ZERO_TWIST,
+    Attitude,
+    Event,
+    Mode,
+    Outputs,
+    Reply,
+    Request,
+    RequestKind,
+    SensorSample,
+    Twist,
+    TwistCommand,
+    TwistFrame,
+)
+from replay.drive.closed_loop import ClosedLoop, Cycle
+from replay.sim.plants.odd_dynamics import OddDynamics, plant
+from tests.world import robot_text
+
+NAME = "odd_balancing"
+
+
+class Upright:
+    """`attended`: somebody holds it while nothing drives it. `imu`: what the sensor makes of the truth, or None."""
+
+    def __init__(self, *, edit: Callable[[str], str] = str, attended: bool = True) -> None:
+        config = parse(edit(robot_text(NAME)), NAME)
+        self.plant: OddDynamics = plant(config.robot)  # type: ignore[arg-type]
+        self.plant.attended = attended
+        self.loop = ClosedLoop(config, plant=self.plant)
+        self.records: list[Cycle] = []
+        self.events: list[Event] = []
+        self.imu: Callable[[Attitude], Attitude | None] = lambda attitude: attitude
+        self._asked = 0
+
+    @property
+    def mode(self) -> Mode:
+        return self.loop.engine.mode
+
+    def is_in(self, mode: Mode) -> bool:
+        return self.mode is mode
+
+    @property
+    def last(self) -> Outputs:
+        return self.records[-1][1]
+
+    def told(self) -> list[float]:
+        """Torques that act at the joints, N m."""
+        return list(self.loop.bus.robot.truth.joint_torques)
+
+    def cycle(self, twist: Twist | None = None, *requests: Request) -> Outputs:
+        due_ns = self.loop.next_ns
+        told = self.imu(self.plant.attitude)
+        commands = [] if twist is None else [TwistCommand("teleop", twist, TwistFrame.BODY, None, due_ns, "test")]
+        samples = [] if told is None else [SensorSample("imu", tuple(told), None, due_ns)]
+        record = self.loop.cycle(commands=commands, requests=requests, samples=samples)
+        self.records.append(record)
+        self.events += record[1].events
+        return record[1]
+
+    def ask(self, kind: RequestKind, twist: Twist | None = None) -> Reply:
+        """The answer to a request in one cycle."""
+        self._asked += 1
+        outputs = self.cycle(twist, Request(kind, self._asked, self.loop.next_ns))
+        return outputs.replies[0] if outputs.replies else Reply(self._asked, True, None)
+
+    def run(
+        self, seconds: float, twist: Twist | None = None, *, until: Callable[["Upright"], bool] | None = None
+    ) -> float:
+        """So many seconds with this twist in each cycle (None: silence), or until then; seconds that it took."""
+        first = len(self.records)
+        for _ in range(round(seconds * self.loop.config.loop.rate)):
+            self.cycle(twist)
+            if until is not None and until(self):
+                break
+        return (len(self.records) - first) / self.loop.config.loop.rate
+
+    def stand_up(self) -> "Upright":
+        """From the stand to standing still on its own."""
+        self.run(0.3, ZERO_TWIST)
+        assert self.ask(RequestKind.STAND_UP, ZERO_TWIST).ok
+        self.run(2.0, ZERO_TWIST)
+        assert self.is_in(Mode.DRIVE)
+        return self
