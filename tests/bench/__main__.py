@@ -85,6 +85,8 @@ AIMS: Mapping[str, Aim] = {
     "plant_slippery_step_us_moby_dynamics": Aim(most=300.0, work=1),
     "plant_step_us_omni4_dynamics": Aim(most=300.0, work=1),
     "plant_slippery_step_us_omni4_dynamics": Aim(most=300.0, work=1),
+    "plant_step_us_odd_dynamics": Aim(most=300.0, work=1),
+    "plant_slippery_step_us_odd_dynamics": Aim(most=300.0, work=1),
     "loop_late_p50_us": Aim("empty_loop_late_p50_us"),
     "loop_late_p99_us": Aim("empty_loop_late_p99_us"),
     "loop_late_p999_us": Aim("empty_loop_late_p999_us"),

@@ -16,7 +16,7 @@ SLIPPERY = 0.3
 def measure() -> dict[str, float]:
     """Least mean time of a substep over repeats, us (a busy machine only adds), and how much faster than real time."""
     figures = {}
-    for robot in (load(ROBOTS / f"{name}.toml")[0].robot for name in NAMES):
+    for robot in (load(ROBOTS / f"{name}.toml")[0].robot for name in (*NAMES, "odd")):
         for plant in PLANTS[robot.kind]:
             name = f"{robot.name}_{plant.value}"
             figures[f"plant_step_us_{name}"] = cost = _microseconds(plant_of(robot, plant))

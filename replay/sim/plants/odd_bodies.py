@@ -54,6 +54,7 @@ class OddParameters(NamedTuple):
     joint_inertia: float
     joint_friction: float
     joint_drag: float
+    caster_reach: float | None = None  # m along, from the axle to the balls before and behind; None: unknown
     slide_friction: float = 0.0  # N s/m
     slide_drag: float = 0.0  # N
     roller_drag: float = 0.0  # N per N of a wheel's load, across its rollers' axles

@@ -15,8 +15,9 @@ and drags over the floor; its wheels turn as before, and take its reaction to th
 
 Wheels on slippery ground (`set_friction`) have a speed of their own: the ground pushes them along their rollers' axles
 by what ends the substep without slip, or by mu times their load. Loads are those of a rigid robot whose wheels are in
-one line: weight and what the floor gives sideways at the height of the centre of mass, half of the way per substep.
-What balls carry of the weight is not known, so wheels have all of it. Rollers resist what their pair moves sideways.
+one line: weight and what the floor gives sideways at the height of the centre of mass, half of the way per substep. The
+balls of the casters, where their reach is known, take what tips the robot forward or back and so much of the weight.
+Rollers resist what their pair moves sideways.
 
 The width stops dead at the ends of the slides, and is held there while it is pressed outwards. Explicit midpoint rule.
 """
@@ -423,15 +424,19 @@ class OddDynamics:
         """Half of the way to where they belong under what the floor gives upwards and sideways."""
         change = [(new - old) / STEP_S for old, new in zip(self._u, u, strict=True)]
         bias = self._bodies.bias(middle.width, middle.pitch, self._u)
-        across = dot(middle.bodies[1], change) + bias[1] - middle.outer[1]
+        along, across, *_ = [
+            dot(row, change) + one - two for row, one, two in zip(middle.bodies, bias, middle.outer, strict=True)
+        ]  # N from the floor
         s, c = sin_cos(middle.pitch)
         height, nod = self._bodies.height, self._u[PITCH]
         rising = -height * (s * change[PITCH] + c * nod * nod)
-        weight = max(0.0, self._weight() + self._bodies.mass * rising)
+        weight = self._weight() + self._bodies.mass * rising
         high = self._parameters.centre_height or 0.0
+        if self._parameters.caster_reach is not None:
+            weight -= high * abs(along) / self._parameters.caster_reach
         if self._parameters.leaning is not None:
             high -= height * (1.0 - c)
-        due = self._due_loads(weight, -high * across)
+        due = self._due_loads(max(0.0, weight), -high * across)
         self.loads = tuple([0.5 * (old + new) for old, new in zip(self.loads, due, strict=True)])
 
     def _due_loads(self, weight: float, moment: float) -> tuple[float, ...]:
