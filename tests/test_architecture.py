@@ -60,7 +60,7 @@ ROOMS: dict[str, set[str]] = {
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
     "replay/drive": {
         *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
-        *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants"),
+        *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants", "replay/sim/sensors"),
     },
     "replay/reproduce": {
         *(

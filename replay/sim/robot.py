@@ -75,6 +75,8 @@ class SimulatedRobot:
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
         self.sensors = _sensors(config.sensor)
+        self._kinds = {sensor.name: sensor.kind.value for sensor in config.sensor}
+        self._sensor_shifts: dict[str, float] = {}  # m or rad that they tell too much
         self._sensing = tuple({id(one): one for one in self.sensors.values()}.values())  # some have several names
         self._places = {name: place for place, name in enumerate(self.devices)}
         self._drivers = tuple(motor.driver for motor in config.motors_in_order())
@@ -212,6 +214,20 @@ class SimulatedRobot:
         self._drivetrains.pop(place, None)
         if self._plant.can_slip(place):
             self._plant.set_friction(place, inf)
+
+    def shift_sensor(self, sensor: str, amount: float) -> None:
+        """The sensor of this name tells so much more than before, m or rad."""
+        kind = self._kinds[sensor]
+        self._sensor_shifts[sensor] = self._sensor_shifts.get(sensor, 0.0) + amount
+        self.sensors[sensor].shift(kind, amount)
+
+    def mend_sensors(self) -> None:
+        """Every sensor on a bus is sound again."""
+        for name, sensor in self.sensors.items():
+            sensor.plug()
+            sensor.hang(False)
+            sensor.stick(False)
+            self.shift_sensor(name, -self._sensor_shifts.get(name, 0.0))
 
     def _with_caster(self) -> WithCaster:
         if isinstance(self._plant, WithCaster):
