@@ -137,7 +137,7 @@ class IdUse(NamedTuple):
 
 
 class DecodedFrame(NamedTuple):
-    """A frame in words: motor concerned (None: several or none), message name, fields in wire order.
+    """A frame in words: motor or sensor concerned (None: several or none), message name, fields in wire order.
 
     `owners` names the motor of each field of a frame that several share; None where a slot is nobody's.
     """

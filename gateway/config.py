@@ -14,6 +14,7 @@ from gateway.sections import Limit, Name, NonNegative, Positive, Rate, Section
 from gateway.types import PLANAR, Rates, SensorKind, Twist
 
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13)]
+SENSOR_PERIODS = 3  # of a sensor on a bus until it may count as silent
 _WORDS = {"missing": "missing", "extra_forbidden": "unknown key"}  # by type of error; the others have good ones
 _File = TypeVar("_File", bound=BaseModel)
 
@@ -233,11 +234,30 @@ class Source(Section):
 
 
 class Sensor(Section):
-    """One sensor that does not come over CAN; older than its timeout (s) its sample is none."""
+    """One sensor; older than its timeout (s) its sample is none. By Zenoh, or on the bus that is named.
+
+    On a bus `rate` (Hz) is how often it measures; which ids and kinds there are is for its driver to say.
+    """
 
     name: Name
     kind: SensorKind
     timeout: Annotated[float, Field(ge=0.02, le=2.0)]
+    bus: Name | None = None
+    driver: Annotated[str, Field(max_length=32)] | None = None
+    id: Annotated[int, Field(ge=0, le=0x1FFFFFFF)] | None = None
+    rate: Annotated[float, Field(ge=5.0, le=1000.0, description="Hz")] | None = None
+
+    @model_validator(mode="after")
+    def _on_a_bus_or_not(self) -> Self:
+        given = (self.bus, self.driver, self.id, self.rate)
+        if None in given and any(one is not None for one in given):
+            message = "give all of bus, driver, id and rate, or none of them for a sensor by Zenoh"
+            raise ValueError(message)
+        if self.rate is not None and self.timeout * self.rate < SENSOR_PERIODS:
+            least = f"{SENSOR_PERIODS} periods of rate = {self.rate:g} Hz, so that a lost frame is survived"
+            message = f"timeout = {self.timeout:g}: must be at least {SENSOR_PERIODS / self.rate:.3g}: {least}"
+            raise ValueError(message)
+        return self
 
 
 class Commands(Section):
@@ -307,6 +327,11 @@ class RobotConfig(Section):
             f"motor {motor.name}: bus = {motor.bus!r}: no such [[bus]]; there is {', '.join(buses)}"
             for motor in self.motor
             if motor.bus not in buses
+        ]
+        problems += [
+            f"sensor {sensor.name}: bus = {sensor.bus!r}: no such [[bus]]; there is {', '.join(buses)}"
+            for sensor in self.sensor
+            if sensor.bus is not None and sensor.bus not in buses
         ]
         for motor in self.motor:
             speed = self.limits.motor_speed.get(motor.name, 0.0)

@@ -97,7 +97,7 @@ class TwistCommand(NamedTuple):
 
 
 class SensorKind(Enum):
-    """What a sensor tells that does not come over CAN."""
+    """What a sensor tells, over Zenoh or on a bus."""
 
     HEADING = "heading"  # rad about the vertical, counter-clockwise, from any zero, wrapped or not: a gyro, an IMU
     ATTITUDE = "attitude"  # roll and pitch, rad; rates about x, y, z of the body, rad/s
@@ -305,13 +305,17 @@ class AbilityStatus(NamedTuple):
 
 
 class SensorStatus(NamedTuple):
-    """One sensor: what it tells (None: silent, or never heard), its age, and how often it jumped."""
+    """One sensor: what it tells (None: nothing that is believed), its age, how often it jumped.
+
+    `reason`: why nothing of it is believed; None while something is.
+    """
 
     name: str
     kind: str
     values: tuple[float | None, ...] | None
     age_s: float | None
     jumps: int
+    reason: str | None = None
 
 
 class SettingStatus(NamedTuple):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.types import Region
+from replay.drive import faults
 from replay.drive.faults import RULES, FaultKind, Target
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
@@ -32,13 +33,15 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
     FaultKind.ID_TWIN: lambda chance: chance.uniform(-3.0, 3.0),
     FaultKind.FRAMES_LOST: lambda chance: chance.uniform(0.05, 1.0),
     FaultKind.FRAMES_DELAYED: lambda chance: 10 ** chance.uniform(-2.5, -0.5),
+    FaultKind.SENSOR_JUMP: lambda chance: chance.choice([-1.0, 1.0]) * 10 ** chance.uniform(-2.5, 0.0),
     FaultKind.PUSH: lambda chance: chance.uniform(-300.0, 300.0),
     FaultKind.SLOPE: lambda chance: chance.uniform(-0.12, 0.12),
     FaultKind.FRICTION: lambda chance: chance.uniform(0.02, 0.6),
     FaultKind.MASS: lambda chance: 10 ** chance.uniform(1.3, 3.7),  # up to what the motors hardly move
 }
 # Those that every plant knows.
-ANY_FAULT = [kind for kind in FaultKind if RULES[kind].target is not Target.CASTER]
+ANY_FAULT = [kind for kind in FaultKind if RULES[kind].target not in (Target.CASTER, Target.SENSOR)]
+SENSOR_FAULTS = [kind for kind in FaultKind if RULES[kind].target is Target.SENSOR]
 LOSSES = (FaultKind.POWER_OFF, FaultKind.POWER_CYCLE, FaultKind.CABLE_OUT, FaultKind.BUS_DOWN, FaultKind.LOOP_PAUSE)
 ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
 KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
@@ -132,11 +135,14 @@ def _command(chance: Random, config: RobotConfig, t: float, *, still: bool, sour
 
 def _fault(chance: Random, config: RobotConfig) -> Entry:
     brief = chance.random() < 0.5
-    kind = chance.choice(LOSSES if brief else ANY_FAULT)
+    sensing = faults.sensors(config)
+    kind = chance.choice(LOSSES if brief else [*ANY_FAULT, *(SENSOR_FAULTS if sensing else ())])
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
         fault["motor"] = chance.choice(config.robot.motor_names())
+    if rule.target is Target.SENSOR:
+        fault["sensor"] = chance.choice(sensing)
     if kind in VALUES:
         fault["value"] = VALUES[kind](chance)
     if rule.timed or (rule.end is not None and (brief or chance.random() < 0.7)):

@@ -26,13 +26,17 @@ ROBOT_FILE = ("gateway/config.py", "gateway/robot_files.py")
 ROOMS: dict[str, set[str]] = {
     "drivers": {"drivers/odrive"},
     "drivers/odrive": {"drivers"},
+    "drivers/sensors": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"drivers", "ground"},
     "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
     "gateway/paths": {"ground", "robot file", "gateway/control"},
-    "gateway/core": {"drivers", "ground", "gateway/kinematics", "gateway/chassis", "robot file", "gateway/control"},
+    "gateway/core": {
+        *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
+        "gateway/control",
+    },
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
@@ -47,14 +51,16 @@ ROOMS: dict[str, set[str]] = {
     "replay": set(),
     "replay/sim/controllers": {"drivers", "ground"},
     "replay/sim/plants": {"ground", "gateway/chassis", "replay/sim/controllers"},
+    "replay/sim/sensors": {"drivers", "ground", "replay/sim/controllers"},
     "replay/sim": {
         *("drivers", "ground", "robot file", "gateway/edges", "replay/sim/controllers", "replay/sim/plants"),
+        "replay/sim/sensors",
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
     "replay/drive": {
         *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
-        *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants"),
+        *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants", "replay/sim/sensors"),
     },
     "replay/reproduce": {
         *(
@@ -72,7 +78,7 @@ ROOMS: dict[str, set[str]] = {
 COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody but the entrance imports it
 
 PURE = (
-    *("drivers", "drivers/odrive", "ground", "robot file"),
+    *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
     *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}

@@ -111,6 +111,9 @@ def _robot(path: Path) -> Iterator[Finding]:
     yield from _endpoints(config, answers, active=active)
     states = [answer.state.status for answer in answers.values() if answer and answer.state]
     yield from _joints(config, states[0] if states else None)
+    for sensor in config.sensor:
+        by = "Zenoh" if sensor.bus is None else sensor.bus
+        yield judge.sensor(sensor.name, by=by, status=states[0] if states else None)
     yield judge.service(name, unit)
 
 

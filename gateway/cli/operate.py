@@ -13,7 +13,7 @@ from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.commander import REST_TIMEOUT_S, objection, rest, start, stream
 from gateway.config import ConfigError, load
 from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
-from gateway.types import ZERO_TWIST, Pose, Twist
+from gateway.types import ZERO_TWIST, Pose, SensorStatus, Twist
 
 EXIT_NO_ROBOT = 69
 EXIT_REFUSED = 1
@@ -178,6 +178,13 @@ def watch(
             return
 
 
+def _sensed(sensor: SensorStatus) -> str:
+    """What it tells, or why nothing of it is believed."""
+    if sensor.values is None:
+        return f"{sensor.name}: {sensor.reason or 'silent'}"
+    return " ".join((sensor.name, *["-" if value is None else f"{value:z.3f}" for value in sensor.values]))
+
+
 def _channel_table(name: str, client: Client, state: StateMessage | None, _: list[EventMessage]) -> Table:
     table = Table("channel", "value", title=f"{name}: {mode_words(client)}")
     numbers = state.extras.get("channels") if state is not None else None
@@ -199,7 +206,8 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
         *(f"{event.level.value} {event.code}: {event.text}" for event in events),
     ]
     facts = [f"{name} {_fact(fact)}" for name, fact in status.chassis.items() if fact is not None]
-    caption[2:2] = ["  ".join(facts)] if facts else []
+    sensors = [_sensed(sensor) for sensor in status.sensors]
+    caption[2:2] = ["  ".join(line) for line in (facts, sensors) if line]
     table = Table("motor", "state", "commanded", "measured", "torque", "age", title=title, caption="\n".join(caption))
     for motor in status.motors:
         table.add_row(

@@ -5,9 +5,11 @@ from typing import NamedTuple
 
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
-from drivers.contract import Capabilities, Driver, MotorSpec
+from drivers.contract import Capabilities, Driver, IdUse, MotorSpec, ReceiveFilter, Traffic
+from drivers.sensors import SENSORS, sensor_problem
+from drivers.sensors.contract import SensorDriver, SensorSpec
 from gateway.chassis.contract import LawParts
-from gateway.config import ConfigError, Motor, RobotConfig
+from gateway.config import ConfigError, Motor, RobotConfig, Sensor
 from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import DriveLaw
 from gateway.control.grip import GripError
@@ -30,6 +32,14 @@ class Group(NamedTuple):
     indices: tuple[int, ...]
 
 
+class Port(NamedTuple):
+    """One sensor on a bus with its driver."""
+
+    name: str
+    bus: str
+    driver: SensorDriver
+
+
 class Robot(NamedTuple):
     """Everything built from a robot file; per-motor tuples are in chassis order."""
 
@@ -42,6 +52,18 @@ class Robot(NamedTuple):
     absolute: tuple[bool, ...]  # whether the encoder knows its angle after a power cut
     limits: tuple[Limits, ...]
     law: DriveLaw
+    ports: tuple[Port, ...] = ()
+
+    def receive_filters(self, bus: str) -> list[ReceiveFilter]:
+        """At least every frame of this bus that somebody may take."""
+        found = [wanted for group in self.groups if group.bus == bus for wanted in group.driver.receive_filters()]
+        return found + [wanted for port in self.ports if port.bus == bus for wanted in port.driver.receive_filters()]
+
+    def traffic(self, bus: str, *, loop_rate_hz: float) -> list[Traffic]:
+        """Every cyclic frame of this bus."""
+        groups = [group.driver.traffic(loop_rate_hz=loop_rate_hz) for group in self.groups if group.bus == bus]
+        senders = {port.driver.ids()[0].id: port.driver for port in self.ports if port.bus == bus}  # each once
+        return [item for told in (*groups, *[one.traffic() for one in senders.values()]) for item in told]
 
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
@@ -55,6 +77,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     except GeometryError as error:
         raise ConfigError(origin, [f"robot: {error}"]) from None
     groups = _groups(config, motors, origin)
+    ports = _ports(config, groups, origin)
     able = _capabilities(groups)
     loops = _speed_loops(motors, able, origin)
     joints = tuple(map(_with_loop, able, loops))
@@ -76,6 +99,7 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
         law=law,
+        ports=ports,
     )
 
 
@@ -167,6 +191,49 @@ def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[
     if conflicts:
         raise ConfigError(origin, conflicts)
     return groups
+
+
+def _ports(config: RobotConfig, groups: Sequence[Group], origin: str) -> tuple[Port, ...]:
+    """Every sensor on a bus; several drivers of one sensor hear the same frames."""
+    ports: list[Port] = []
+    users: dict[str, dict[tuple[str, int], Sequence[IdUse]]] = {bus.name: {} for bus in config.bus}
+    for sensor in config.sensor:
+        if sensor.bus is None or sensor.driver is None or sensor.id is None:
+            continue
+        port = Port(sensor.name, sensor.bus, _sensor_driver(sensor, sensor.bus, origin))
+        ports.append(port)
+        users[sensor.bus].setdefault((sensor.driver, sensor.id), port.driver.ids())
+    conflicts = _given_twice(config.sensor)
+    for bus, found in users.items():
+        motors = [group.driver.ids() for group in groups if group.bus == bus]
+        conflicts += [f"bus {bus}: {conflict}" for conflict in id_conflicts([*motors, *found.values()])]
+    if conflicts:
+        raise ConfigError(origin, conflicts)
+    return tuple(ports)
+
+
+def _given_twice(sensors: Sequence[Sensor]) -> list[str]:
+    """What tells several kinds is one sensor for each of them; nothing tells one kind twice."""
+    first: dict[tuple[str | None, str | None, int | None, str], str] = {}
+    return [
+        f"sensor {sensor.name}: id = {sensor.id}: already the id of sensor {first[key]}"
+        for sensor in sensors
+        if sensor.bus is not None
+        and first.setdefault(key := (sensor.bus, sensor.driver, sensor.id, sensor.kind.value), sensor.name)
+        != sensor.name
+    ]
+
+
+def _sensor_driver(sensor: Sensor, bus: str, origin: str) -> SensorDriver:
+    """Raises ConfigError naming the sensor."""
+    name, kind = str(sensor.driver), sensor.kind.value
+    problem = sensor_problem(name, kind)
+    if problem is not None:
+        raise ConfigError(origin, [f"sensor {sensor.name}: {problem}"])
+    try:
+        return SENSORS[name].make(bus, SensorSpec(sensor.name, sensor.id or 0, kind, sensor.rate or 0.0))
+    except ValueError as error:
+        raise ConfigError(origin, [str(error)]) from None
 
 
 def _driver(name: str, bus: str, motors: Sequence[MotorSpec], origin: str) -> Driver:

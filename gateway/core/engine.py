@@ -127,7 +127,7 @@ class Engine:
         self._torque_loss = _torque_loss_detector(robot, config)
         self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
-        self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz)
+        self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz, ports=robot.ports)
         self._settings = Settings(config.settings, robot.law)
         model = slip_model(config, robot)
         self._slip = None if model is None else SlipDetector(robot.names, model)
@@ -263,6 +263,8 @@ class Engine:
     def _receive(self, inputs: Inputs) -> Inputs:
         """Take everything in; commands that this chassis cannot follow are among the refusals of what is given back."""
         self._motors.receive(inputs.frames)
+        if self._sensors.ports:
+            self._sensors.hear(inputs.frames)
         refused = [refusal for refusal in map(self._arbiter.receive, inputs.commands) if refusal is not None]
         for sample in inputs.samples:
             self._sensors.receive(sample)

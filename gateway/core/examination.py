@@ -341,10 +341,7 @@ def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
 
 
 def _bus_load(config: RobotConfig, robot: Robot, bus: Bus) -> BusLoad:
-    traffic: list[Traffic] = []
-    for group in robot.groups:
-        if group.bus == bus.name:
-            traffic += group.driver.traffic(loop_rate_hz=config.loop.rate)
+    traffic = robot.traffic(bus.name, loop_rate_hz=config.loop.rate)
     load = fsum(item.rate_hz * frame_time(item, bus) for item in traffic)
     return BusLoad(bus.name, bus.bitrate, load, fsum(item.rate_hz for item in traffic))
 

@@ -9,19 +9,21 @@ class FrameWords:
     """Puts the frames of one robot into words. Raises ConfigError at construction."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._groups = build(config).groups
+        robot = build(config)
+        motors = [(group.bus, group.driver.decode) for group in robot.groups]
+        self._decoders = [*motors, *[(port.bus, port.driver.decode) for port in robot.ports]]
 
     def decode(self, frame: CanFrame) -> DecodedFrame | None:
         """By the driver it belongs to; None if it is nobody's."""
-        for group in self._groups:
-            if group.bus == frame.bus:
-                decoded = group.driver.decode(frame)
+        for bus, decode in self._decoders:
+            if bus == frame.bus:
+                decoded = decode(frame)
                 if decoded is not None:
                     return decoded
         return None
 
     def of(self, frame: CanFrame) -> str:
-        """One line for a person: motor and message with its fields, behind the frame as candump writes it."""
+        """One line for a person: motor or sensor and message with its fields, behind the frame as candump writes it."""
         decoded = self.decode(frame)
         if decoded is None:
             return raw(frame)

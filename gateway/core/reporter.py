@@ -1,7 +1,8 @@
 """What the core tells the world, and how often: events on change, odometry and status at their rates."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from math import floor
+from types import MappingProxyType
 from typing import Final
 
 from gateway.config import RobotConfig
@@ -41,6 +42,8 @@ _REASONS: Final = {
     Mode.ESTOP: "emergency stop: needs a reset",
     Mode.FAULT: "coming to rest",
 }
+_JUMP: Final = "what it tells changed by more than the robot can turn: not believed"
+_NOBODY: Final[Mapping[str, str]] = MappingProxyType({})
 _NO_EVENTS: Final[tuple[Event, ...]] = ()
 
 
@@ -89,7 +92,7 @@ class Reporter:
         self.status_due = Due(config.zenoh.state_rate)
         self.refused = 0
         self.tx_dropped = 0
-        self._silent = tuple(sensor.name for sensor in config.sensor)
+        self._silent: Mapping[str, str] = {sensor.name: "never heard" for sensor in config.sensor}
         self._sources = frozenset((*(source.name for source in config.commands.source), *self._silent))
         self._throttle = _Throttle()
         self._first_ns: int | None = None
@@ -108,10 +111,10 @@ class Reporter:
         faults: tuple[Fault, ...],
         replies: Sequence[Reply],
         slip: tuple[str, ...] | None = None,
-        silent: tuple[str, ...] = (),
+        silent: Mapping[str, str] = _NOBODY,
         jumped: Sequence[str] = (),
     ) -> tuple[Event, ...]:
-        """Everything worth telling of this cycle; usually nothing. `silent`, `jumped`: sensors.
+        """Everything worth telling of this cycle; usually nothing. `silent`: sensors and why; `jumped`: sensors.
 
         `slip`: the wheels that slip, none where that is not known; None: no wheel does.
         """
@@ -208,15 +211,16 @@ class Reporter:
         )
         return _counted(Level.WARNING, "slip", text, self._throttle.admit(("slip", slip), now_ns))
 
-    def _sensor_changes(self, silent: tuple[str, ...], jumped: Sequence[str], now_ns: int) -> list[Event]:
+    def _sensor_changes(self, silent: Mapping[str, str], jumped: Sequence[str], now_ns: int) -> list[Event]:
         before, self._silent = self._silent, silent
+        lost = [(name, why) for name, why in silent.items() if name not in before]
         events: list[Event] = []
-        for names, code, level, text in (
-            ([name for name in silent if name not in before], "sensor_silent", Level.WARNING, "silent"),
-            ([name for name in before if name not in silent], "sensor_heard", Level.INFO, "heard"),
-            (jumped, "sensor_jump", Level.WARNING, "its heading changed by more than the robot can turn: not believed"),
+        for told, code, level in (
+            (lost, "sensor_silent", Level.WARNING),
+            ([(name, "heard") for name in before if name not in silent], "sensor_heard", Level.INFO),
+            ([(name, _JUMP) for name in jumped], "sensor_jump", Level.WARNING),
         ):
-            for name in names:
+            for name, text in told:
                 events += _counted(level, code, f"{name}: {text}", self._throttle.admit((code, name), now_ns))
         return events
 

@@ -55,7 +55,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),
     "gateway.core.odometry.WheelOdometry": frozenset({"_kinematics", "_top_speeds"}),
     "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),
-    "gateway.core.sensors.Sensors": frozenset({"_kinds", "_timeouts_ns", "_top_turn"}),
+    "gateway.core.sensors.Sensors": frozenset({"_kinds", "_listeners", "_timeouts_ns", "_top_turn"}),
     "gateway.core.settings.Settings": frozenset(),
     "gateway.core.standstill.Standstill": frozenset(),
     "gateway.core.reporter.Reporter": frozenset({"_sources"}),
@@ -121,6 +121,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "drivers.vesc._Motor": frozenset(
         {"bus", "coast_frame", "current_limit", "duty_zero_frame", "erpm_limit", "erpm_per_rad_s", "min_erpm"}
         | {"rad_per_count", "raw_per_torque", "spec", "stop_frame", "timeout_ns", "watchdog_ns"}
+    ),
+    "drivers.sensors.counted.CountedSensor": frozenset(
+        {"_bus", "_extended", "_layout", "_needed", "_places", "_sizes", "_spec", "_taken"}
     ),
     "drivers.twins.TwinWatch": frozenset({"_max_speed", "_slack", "_turn"}),
     "drivers.odrive.group.OdriveDriver": frozenset({"_bus", "_by_node", "_routes"}),

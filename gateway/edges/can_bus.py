@@ -32,7 +32,7 @@ import can
 
 from drivers.contract import CanFrame, ReceiveFilter
 from gateway.config import Bus, ConfigError, RobotConfig
-from gateway.core.assembly import Group, build
+from gateway.core.assembly import Robot, build
 from gateway.edges.can_adapter import AdapterError, ask, epoch_ns, flaw, frame_of, message_of
 from gateway.edges.can_errors import meanings
 from gateway.edges.can_thread import AdapterThread
@@ -77,11 +77,10 @@ class CanBuses:
 
     def __init__(self, config: RobotConfig) -> None:
         self._channels: dict[str, _Channel] = {}
-        groups = build(config).groups
+        robot = build(config)
         try:
             for bus in config.bus:
-                mine = [group for group in groups if group.bus == bus.name]
-                self._channels[bus.name] = _Channel(bus, mine, rate_hz=config.loop.rate)
+                self._channels[bus.name] = _Channel(bus, robot, rate_hz=config.loop.rate)
         except InUseError:
             self.close()
             raise
@@ -114,14 +113,15 @@ class CanBuses:
 class _Channel:
     """One python-can bus with its failures."""
 
-    def __init__(self, config: Bus, groups: Sequence[Group], *, rate_hz: float) -> None:
-        commanded = {frame.id for group in groups for frame in group.driver.coast_frames()}
+    def __init__(self, config: Bus, robot: Robot, *, rate_hz: float) -> None:
+        mine = [group.driver for group in robot.groups if group.bus == config.name]
+        commanded = {frame.id for driver in mine for frame in driver.coast_frames()}
         self.claims = Claims(config.interface, config.channel, commanded)
         self._config = config
         shortest = SHORTEST_FD_FRAME_BITS if config.fd else SHORTEST_FRAME_BITS
         self._most_frames = max(MAX_FRAMES_PER_DRAIN, round(2.0 * config.bitrate / shortest / rate_hz))
         self._kernel_stamps = config.interface == "socketcan"
-        self._filters = [wanted for group in groups for wanted in group.driver.receive_filters()]
+        self._filters = robot.receive_filters(config.name)
         self._bus: can.BusABC | None = None
         self._thread = None if config.interface == "socketcan" else AdapterThread(config.name)
         self._opening = False  # and so long down, for no other reason

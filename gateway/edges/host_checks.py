@@ -158,6 +158,18 @@ def joint(motor: str, *, robot: str, absolute: bool, status: Status | None) -> F
     return Finding(subject, Grade.NOTE, text, f"{reference} after a start, or fit an absolute encoder and declare it")
 
 
+def sensor(name: str, *, by: str, status: Status | None) -> Finding:
+    """Whether a sensor is believed; `by`: what it comes over, `status`: of the running robot, None without one."""
+    subject = f"sensor {name}"
+    told = next((one for one in status.sensors if one.name == name), None) if status is not None else None
+    if told is None:
+        return Finding(subject, Grade.NOTE, f"by {by}: not looked at, the service does not run or tell")
+    if told.values is not None:
+        return Finding(subject, Grade.OK, f"by {by}: it tells {told.kind}")
+    cure = "its power, its cable, its id and rate in the robot file (README, Sensors on CAN), or who publishes it"
+    return Finding(subject, Grade.PROBLEM, f"by {by}: {told.reason or 'silent'}", f"look at {cure}")
+
+
 def service(name: str, unit: Unit | None) -> Finding:
     """What the service manager says of the robot's unit; None: there is none."""
     if unit is None:

@@ -56,7 +56,8 @@ class ZenohLink:
     def __init__(self, config: RobotConfig, config_text: str) -> None:
         self._robot = config.robot.name
         self._sources = [source.name for source in config.commands.source]
-        self._sensors = [sensor.name for sensor in config.sensor]
+        sensors = [sensor for sensor in config.sensor if sensor.bus is None]
+        self._sensors = [sensor.name for sensor in sensors]
         own = [keys.STOP, *map(keys.twist, self._sources), *map(keys.sample, self._sensors)]
         self._own_keys = set(map(self._key, own))
         self._mailbox = Mailbox(self._sources, self._sensors)
@@ -77,7 +78,7 @@ class ZenohLink:
         for source in config.commands.source:
             gate = SourceGate(round(source.timeout * 1e9))
             self._receivers.subscribe(self._key(keys.twist(source.name)), partial(self._receive, source.name, gate))
-        for sensor in config.sensor:
+        for sensor in sensors:
             gate = SourceGate(round(sensor.timeout * 1e9))
             self._receivers.subscribe(self._key(keys.sample(sensor.name)), partial(self._sense, sensor, gate))
         self._receivers.subscribe(self._key(keys.STOP), self._stop)
@@ -193,7 +194,9 @@ class ZenohLink:
     def _refuse_strange_sample(self, sample: zenoh.Sample) -> None:
         if sample.key_expr.intersects(self._key(keys.COMMANDS)):
             return  # a wildcard that reaches commands too, and is refused as such
-        known = f"the sensors are {', '.join(self._sensors)}" if self._sensors else "this robot has no [[sensor]]"
+        known = (
+            f"the sensors are {', '.join(self._sensors)}" if self._sensors else "this robot has no [[sensor]] by Zenoh"
+        )
         self._refuse(sample, RefusalCode.UNKNOWN_SENSOR, known)
 
     def _refuse(self, sample: zenoh.Sample, unknown: RefusalCode, known: str) -> None:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from gateway.config import RobotConfig
 from replay.sim.bus import SimulatedBus
 from replay.sim.plants import plant_of
+from replay.sim.sensors.sender import Sender
 
 TWIN_ANGLE = 1.0  # rad at the output by which a twin's shaft stands elsewhere, unless told
 
@@ -38,6 +39,10 @@ class FaultKind(Enum):
     IMPACT = "impact"
     FRICTION = "friction"
     MASS = "mass"
+    SENSOR_SILENT = "sensor_silent"
+    SENSOR_FROZEN = "sensor_frozen"
+    SENSOR_STUCK = "sensor_stuck"
+    SENSOR_JUMP = "sensor_jump"
     LOOP_PAUSE = "loop_pause"
     CLEAR = "clear"
 
@@ -48,6 +53,7 @@ class Target(Enum):
     MOTOR = "motor"
     WHEEL = "wheel"  # a motor that drives a wheel
     BUS = "bus"
+    SENSOR = "sensor"  # one on a bus
     WORLD = "world"
     CASTER = "caster"  # of a plant that has one
     LOOP = "loop"
@@ -62,7 +68,7 @@ class Range(NamedTuple):
 
 
 class Broken(NamedTuple):
-    """One thing to break or to mend: the motor or bus, how much, and a number that makes chance repeatable.
+    """One thing to break or to mend: the motor, bus or sensor, how much, and a number that makes chance repeatable.
 
     `lasting`: its end is planned.
     """
@@ -213,6 +219,21 @@ def _unload(broken: Broken) -> None:
     broken.world.robot.set_mass(None)
 
 
+def _sensor(change: Callable[[Sender], object]) -> Change:
+    def changed(broken: Broken) -> None:
+        change(broken.world.robot.sensors[broken.name])
+
+    return changed
+
+
+def _shift(broken: Broken) -> None:
+    broken.world.robot.shift_sensor(broken.name, broken.value)
+
+
+def _shift_back(broken: Broken) -> None:
+    broken.world.robot.shift_sensor(broken.name, -broken.value)
+
+
 def _nothing(_: Broken) -> None:
     """The world has no part in it: the loop does it."""
 
@@ -262,6 +283,16 @@ RULES: dict[FaultKind, Rule] = {
     FaultKind.SLOPE: Rule(Target.WORLD, _tilt, _level, Range(-0.7, 0.7, "rad, rising along world x, -0.7 to 0.7")),
     FaultKind.FRICTION: Rule(Target.WHEEL, _ground, _good_ground, Range(0.0, 10.0, "a friction coefficient, 0 to 10")),
     FaultKind.MASS: Rule(Target.WORLD, _load, _unload, Range(0.1, 5000.0, "kg in total, 0.1 to 5000")),
+    FaultKind.SENSOR_SILENT: Rule(Target.SENSOR, _sensor(Sender.unplug), _sensor(Sender.plug)),
+    FaultKind.SENSOR_FROZEN: Rule(
+        Target.SENSOR, _sensor(lambda one: one.hang(True)), _sensor(lambda one: one.hang(False))
+    ),
+    FaultKind.SENSOR_STUCK: Rule(
+        Target.SENSOR, _sensor(lambda one: one.stick(True)), _sensor(lambda one: one.stick(False))
+    ),
+    FaultKind.SENSOR_JUMP: Rule(
+        Target.SENSOR, _shift, _shift_back, Range(-10.0, 10.0, "m or rad that it tells too much, -10 to 10")
+    ),
     FaultKind.LOOP_PAUSE: Rule(Target.LOOP, _nothing, timed=True),
     FaultKind.CLEAR: Rule(Target.MOTOR, _mend),
 }
@@ -270,7 +301,7 @@ RULES: dict[FaultKind, Rule] = {
 def begin(
     kind: FaultKind, world: SimulatedBus, names: Sequence[str], value: float | None, *, seed: int, lasting: bool
 ) -> None:
-    """Break it, for each of these motors or buses."""
+    """Break it, for each of these motors, buses or sensors."""
     rule = RULES[kind]
     for name in names:
         rule.begin(Broken(world, name, _amount(rule, value), seed, lasting))
@@ -289,7 +320,8 @@ def _amount(rule: Rule, value: float | None) -> float:
 
 
 def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
-    """What `clear` undoes besides the motors: buses and ground."""
+    """What `clear` undoes besides the motors: buses, sensors and ground."""
+    world.robot.mend_sensors()
     for name in buses:
         for change in (_up, _lose_none, _delay_none):
             change(Broken(world, name))
@@ -297,8 +329,10 @@ def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
         change(Broken(world, ""))
 
 
-def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: str | None) -> tuple[str, ...]:
-    """Which motors or buses: the named one, or every one where none is named; a single "" for the rest."""
+def concerned(
+    kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: str | None, sensor: str | None = None
+) -> tuple[str, ...]:
+    """Which motors, buses or sensors: the named one, or every one where none is named; a single "" for the rest."""
     match RULES[kind].target:
         case Target.MOTOR:
             return config.robot.motor_names() if motor is None else (motor,)
@@ -306,7 +340,14 @@ def concerned(kind: FaultKind, config: RobotConfig, *, motor: str | None, bus: s
             return wheels(config) if motor is None else (motor,)
         case Target.BUS:
             return tuple(one.name for one in config.bus) if bus is None else (bus,)
+        case Target.SENSOR:
+            return sensors(config) if sensor is None else (sensor,)
     return ("",)
+
+
+def sensors(config: RobotConfig) -> tuple[str, ...]:
+    """Those on a bus."""
+    return tuple(sensor.name for sensor in config.sensor if sensor.bus is not None)
 
 
 def wheels(config: RobotConfig) -> tuple[str, ...]:

@@ -206,7 +206,7 @@ class _Drive:
     def _break(self, fault: Fault, now_ns: int) -> None:
         bus = self._loop.bus
         bus.advance(now_ns)
-        names = faults.concerned(fault.kind, self._config, motor=fault.motor, bus=fault.bus)
+        names = faults.concerned(fault.kind, self._config, motor=fault.motor, bus=fault.bus, sensor=fault.sensor)
         lasting = fault.seconds is not None
         faults.begin(fault.kind, bus, names, fault.value, seed=self._seed + self._planned, lasting=lasting)
         if fault.kind is FaultKind.CLEAR and fault.motor is None:

@@ -13,7 +13,7 @@ from gateway.edges.messages import MAX_SPEED, MAX_TURN
 from gateway.sections import Name
 from gateway.types import Mode, Region
 from replay.drive.commanders import SENDER
-from replay.drive.faults import RULES, FaultKind, Target, wheels
+from replay.drive.faults import RULES, FaultKind, Target, sensors, wheels
 from replay.sim.plants.contract import PlantName, WithCaster
 from replay.sim.robot import chosen_plant
 
@@ -53,6 +53,7 @@ class Fault(_Section):
     kind: FaultKind
     motor: Name | None = None
     bus: Name | None = None
+    sensor: Name | None = None
     value: Annotated[float, Field(allow_inf_nan=False)] | None = None
     seconds: Annotated[float, Field(gt=0.0, le=MAX_SECONDS)] | None = None
 
@@ -75,6 +76,8 @@ class Fault(_Section):
             yield f"motor = {self.motor!r}: {self.kind.value} concerns no motor"
         if self.bus is not None and rule.target is not Target.BUS:
             yield f"bus = {self.bus!r}: {self.kind.value} concerns no bus"
+        if self.sensor is not None and rule.target is not Target.SENSOR:
+            yield f"sensor = {self.sensor!r}: {self.kind.value} concerns no sensor"
         if self.seconds is None and rule.timed:
             yield "seconds is missing: how long it lasts"
         if self.seconds is not None and not rule.timed and rule.end is None:
@@ -228,6 +231,10 @@ def _unknown(key: str, at: At, config: RobotConfig) -> Iterator[str]:
         yield _no_such(f"{key}.fault.motor", at.fault.motor, motors)
     if at.fault.bus is not None and at.fault.bus not in buses:
         yield _no_such(f"{key}.fault.bus", at.fault.bus, buses)
+    if rule.target is Target.SENSOR and not sensors(config):
+        yield f"{key}.fault.kind = {at.fault.kind.value!r}: needs a [[sensor]] on a bus in the robot file"
+    elif at.fault.sensor is not None and at.fault.sensor not in sensors(config):
+        yield _no_such(f"{key}.fault.sensor", at.fault.sensor, sensors(config))
 
 
 def _no_such(key: str, value: str, known: object) -> str:

@@ -8,7 +8,7 @@ from random import Random
 from drivers.contract import CanFrame
 from gateway.config import Bus
 from gateway.types import BusEvent, BusEventKind
-from replay.sim.controllers.contract import SECOND_NS, Emission, SimulatedDevice
+from replay.sim.controllers.contract import SECOND_NS, BusDevice, Emission
 from replay.sim.wire import Arrival, Sender, Stuffing, Wire
 
 HOST_QUEUE = 32  # frames; a small txqueuelen, so that a dead bus is noticed instead of storing old setpoints
@@ -17,7 +17,7 @@ HOST_QUEUE = 32  # frames; a small txqueuelen, so that a dead bus is noticed ins
 class Segment:
     """State owner of one bus; `run` is called with instants that never go back."""
 
-    def __init__(self, bus: Bus, devices: Sequence[SimulatedDevice], stuffing: Stuffing) -> None:
+    def __init__(self, bus: Bus, devices: Sequence[BusDevice], stuffing: Stuffing) -> None:
         self._name = bus.name
         self._devices = tuple(devices)
         self._wire = Wire(bus.bitrate, stuffing, self._deliver, data_bitrate=bus.data_bitrate)
@@ -103,11 +103,11 @@ class Segment:
             self._up = True
             self._tell(BusEventKind.UP, "interface is up")
 
-    def connect(self, device: SimulatedDevice) -> None:
+    def connect(self, device: BusDevice) -> None:
         """One more device on the bus."""
         self._devices = (*self._devices, device)
 
-    def disconnect(self, device: SimulatedDevice) -> None:
+    def disconnect(self, device: BusDevice) -> None:
         """One less."""
         self._devices = tuple(one for one in self._devices if one is not device)
 

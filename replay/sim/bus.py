@@ -4,7 +4,8 @@ How this works
 --------------
 `receive` runs the world up to `now_ns`: per bus the devices' cyclic frames and the host's queue contend for the wire,
 then the robot takes its substep. A command acts from the substep after its last bit. The first call sets the origin.
-Faults are methods here for the bus and on `robot.devices[name]` for a controller.
+Faults are methods here for the bus and on `robot.devices[name]` for a controller,
+on `robot.sensors[name]` for a sensor.
 """
 
 from collections.abc import Sequence
@@ -26,11 +27,7 @@ class SimulatedBus:
         self, config: RobotConfig, robot: SimulatedRobot | None = None, *, stuffing: Stuffing = Stuffing.WORST
     ) -> None:
         self.robot = SimulatedRobot(config) if robot is None else robot
-        devices = self.robot.devices.values()
-        self._segments = {
-            bus.name: Segment(bus, [device for device in devices if device.setup.bus == bus.name], stuffing)
-            for bus in config.bus
-        }
+        self._segments = {bus.name: Segment(bus, self.robot.on_bus(bus.name), stuffing) for bus in config.bus}
         self._now_ns: int | None = None
         self._origin_ns = 0
 

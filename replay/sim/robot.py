@@ -1,24 +1,28 @@
 """The simulated robot: motor controllers on a moving plant, advanced in fixed substeps. It knows no bus."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
-from gateway.config import ConfigError, Motor, RobotConfig
-from gateway.types import Pose, Twist
-from replay.sim.controllers.contract import STEP_NS, MotorSetup, Shaft, SimulatedDevice
+from gateway.config import ConfigError, Motor, RobotConfig, Sensor
+from gateway.types import Attitude, Pose, Twist
+from replay.sim.controllers.contract import STEP_NS, BusDevice, MotorSetup, Shaft, SimulatedDevice
 from replay.sim.controllers.dji import SimulatedDji
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.vesc import SimulatedVesc
 from replay.sim.plants import plant_of
-from replay.sim.plants.contract import Plant, PlantName, Point, WithCaster
+from replay.sim.plants.contract import Plant, PlantName, Point, WithAttitude, WithCaster, WithSlides
+from replay.sim.sensors import sender
+from replay.sim.sensors.contract import Scene, SensorSetup
+from replay.sim.sensors.sender import Sender
 
 CONTROLLERS: dict[str, Callable[[MotorSetup], SimulatedDevice]] = {
     "odrive": SimulatedODrive,
     "dji": SimulatedDji,
     "vesc": SimulatedVesc,
 }
+SENSORS: dict[str, Callable[[SensorSetup], Sender]] = {"draw_wire": sender.draw_wire, "imu": sender.imu}
 
 
 class Truth(NamedTuple):
@@ -55,7 +59,7 @@ class Drivetrain:
 
 
 class SimulatedRobot:
-    """Devices by motor name and the plant they drive. `start` sets the time origin; substeps count from it.
+    """Devices by motor name, sensors on a bus by theirs, and the plant. `start` sets the time origin of the substeps.
 
     `joint_angles`: where motors stand before the start, rad at the output from the joint's zero. `plant`: instead of
     the one of this chassis kind.
@@ -70,6 +74,10 @@ class SimulatedRobot:
             for motor, inertia in zip(config.motors_in_order(), self._plant.reflected_inertia, strict=True)
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
+        self.sensors = _sensors(config.sensor)
+        self._kinds = {sensor.name: sensor.kind.value for sensor in config.sensor}
+        self._sensor_shifts: dict[str, float] = {}  # m or rad that they tell too much
+        self._sensing = tuple({id(one): one for one in self.sensors.values()}.values())  # some have several names
         self._places = {name: place for place, name in enumerate(self.devices)}
         self._drivers = tuple(motor.driver for motor in config.motors_in_order())
         self._shifts: dict[str, float] = {}  # rad at the output that an encoder tells too much
@@ -98,11 +106,26 @@ class SimulatedRobot:
             chassis_angle=plant.chassis_angle,
         )
 
+    @property
+    def scene(self) -> Scene:
+        """What there is to sense now; a plant that knows of no leaning does not lean."""
+        plant = self._plant
+        level = Attitude(0.0, 0.0, 0.0, 0.0, plant.twist.wz)
+        attitude = plant.attitude if isinstance(plant, WithAttitude) else level
+        return Scene(plant.width if isinstance(plant, WithSlides) else None, attitude, plant.pose.theta)
+
+    def on_bus(self, bus: str | None = None) -> list[BusDevice]:
+        """Everything that is connected to it; None: to any."""
+        every: list[BusDevice] = [*self.devices.values(), *self._sensing]
+        return [device for device in every if bus in (None, device.setup.bus)]
+
     def start(self, now_ns: int) -> None:
         """Power on everything at this instant."""
         self._time_ns = now_ns
         for joint, shaft in zip(self._joints, self._shafts(), strict=True):
             joint.device.start(shaft, now_ns)
+        for sensor in self._sensing:
+            sensor.start(self.scene, now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Run every whole substep up to now."""
@@ -118,6 +141,10 @@ class SimulatedRobot:
                 self._torques[place] = drivetrain.torque(self._torques[place], self._plant.rates[place])
             for twin, shaft in self._twins.values():
                 twin.step(shaft, time_ns)
+            if self._sensing:
+                scene = self.scene
+                for sensor in self._sensing:
+                    sensor.step(scene, time_ns)
             time_ns += STEP_NS
 
     def drivetrain(self, motor: str) -> Drivetrain:
@@ -188,6 +215,20 @@ class SimulatedRobot:
         if self._plant.can_slip(place):
             self._plant.set_friction(place, inf)
 
+    def shift_sensor(self, sensor: str, amount: float) -> None:
+        """The sensor of this name tells so much more than before, m or rad."""
+        kind = self._kinds[sensor]
+        self._sensor_shifts[sensor] = self._sensor_shifts.get(sensor, 0.0) + amount
+        self.sensors[sensor].shift(kind, amount)
+
+    def mend_sensors(self) -> None:
+        """Every sensor on a bus is sound again."""
+        for name, sensor in self.sensors.items():
+            sensor.plug()
+            sensor.hang(False)
+            sensor.stick(False)
+            self.shift_sensor(name, -self._sensor_shifts.get(name, 0.0))
+
     def _with_caster(self) -> WithCaster:
         if isinstance(self._plant, WithCaster):
             return self._plant
@@ -212,6 +253,20 @@ def chosen_plant(config: RobotConfig, name: PlantName, origin: str) -> Plant:
         return plant_of(config.robot, name)
     except ValueError as error:
         raise ConfigError(origin, [str(error)]) from None
+
+
+def _sensors(sensors: Sequence[Sensor]) -> dict[str, Sender]:
+    """Those on a bus by name; one that tells several kinds is one."""
+    made: dict[tuple[str, str, int], Sender] = {}
+    found = {}
+    for sensor in sensors:
+        if sensor.bus is not None and sensor.driver is not None and sensor.id is not None:
+            key = (sensor.driver, sensor.bus, sensor.id)
+            if key not in made:
+                setup = SensorSetup(sensor.name, sensor.bus, sensor.id, sensor.rate or 0.0)
+                made[key] = SENSORS[sensor.driver](setup)
+            found[sensor.name] = made[key]
+    return found
 
 
 def _device(motor: Motor, inertia: float) -> SimulatedDevice:

@@ -69,14 +69,14 @@ class SimulationServer:
         emissions = [emission for name, bus in self._buses.items() for emission in self._hear(name, bus)]
         self._world_ns += self._tick_ns
         self.robot.advance(self._world_ns)
-        for device in self.robot.devices.values():
+        for device in self.robot.on_bus():
             emissions.extend(device.poll(self._world_ns))
         for emission in sorted(emissions):
             self._say(emission.frame)
 
     def _hear(self, name: str, bus: can.BusABC) -> list[Emission]:
         """Everything that waits on one bus, given to its devices; their replies."""
-        devices = [device for device in self.robot.devices.values() if device.setup.bus == name]
+        devices = self.robot.on_bus(name)
         replies: list[Emission] = []
         while (message := self._received(name, bus)) is not None:
             if message.is_error_frame or flaw(message, fd=name in self._fd) is not None:

@@ -507,7 +507,8 @@ def test_a_killed_process_holds_nothing(request: pytest.FixtureRequest) -> None:
 def test_the_kernel_filters_let_pass_whatever_the_motors_say_and_nothing_foreign(name: str) -> None:
     world = World(name)
     world.start()
-    filters = [wanted for group in build(world.config).groups for wanted in group.driver.receive_filters()]
+    robot = build(world.config)
+    filters = [wanted for bus in world.config.bus for wanted in robot.receive_filters(bus.name)]
     heard = {(frame.id, frame.extended) for inputs, _ in world.records for frame in inputs.frames}
     for identifier, extended in heard:
         assert any(extended == long and identifier & mask == wanted for wanted, mask, long in filters)

@@ -15,7 +15,7 @@ from gateway.edges import host_checks as doctor
 from gateway.edges.can_link import CanLink, parse_link
 from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
 from gateway.edges.messages import StateMessage
-from gateway.types import Status
+from gateway.types import SensorStatus, Status
 from tests.gateway.test_messages import STATUS
 from tests.world import ROBOTS
 
@@ -334,3 +334,31 @@ def test_the_command_reports_a_missing_interface(tmp_path_factory: pytest.TempPa
     words = CliRunner().invoke(build("doctor"), ["doctor", str(path)])
     assert words.exit_code == 1
     assert all(finding["text"] in words.stdout for finding in lines.values() if finding["subject"] != "clock")
+
+
+HEARD = SensorStatus("wire", "range", (0.4,), 0.01, 0)
+LOST = HEARD._replace(values=None, reason="its counter stands still")
+
+
+@pytest.mark.parametrize(
+    ("status", "grade", "text"),
+    [
+        (None, Grade.NOTE, "by can0: not looked at"),
+        (RUNNING, Grade.NOTE, "by can0: not looked at"),
+        (RUNNING._replace(sensors=(HEARD,)), Grade.OK, "by can0: it tells range"),
+        (RUNNING._replace(sensors=(LOST,)), Grade.PROBLEM, "by can0: its counter stands still"),
+    ],
+)
+def test_a_sensor(status: Status | None, grade: Grade, text: str) -> None:
+    finding = doctor.sensor("wire", by="can0", status=status)
+    assert (finding.subject, finding.grade) == ("sensor wire", grade)
+    assert text in finding.text
+    assert (finding.cure is not None) == (grade is Grade.PROBLEM)
+
+
+def test_the_command_has_a_line_for_each_sensor() -> None:
+    report = _report(ROBOTS / "odd.toml")
+    assert [subject for subject in report if subject.startswith("sensor")] == [
+        f"sensor {x}" for x in ("wire", "imu", "gyro")
+    ]
+    assert report["sensor wire"]["grade"] == "note"

@@ -127,7 +127,7 @@ def test_ranges_keep_their_places_and_an_attitude_its_unknown_rates() -> None:
     readings = sensors.read(0)
     assert readings.ranges == (None, 2.5)
     assert readings.attitude == Attitude(0.1, -0.2, None, None, 0.3)
-    assert sensors.silent == ("imu", "nose")
+    assert sensors.silent == {"imu": "never heard", "nose": "never heard"}
 
 
 def test_strangers_and_samples_older_than_the_last_are_left_out() -> None:

@@ -122,6 +122,7 @@ UNKNOWN: tuple[tuple[dict[str, Any], str], ...] = (
     ({"fault": {"kind": "power_off", "motor": "hind"}}, "at[0].fault.motor = 'hind': there is left, right, platform"),
     ({"fault": {"kind": "bus_down", "bus": "can7"}}, "at[0].fault.bus = 'can7': there is can0"),
     ({"fault": {"kind": "friction", "motor": "platform", "value": 0.1}}, "'platform': there is left, right"),
+    ({"fault": {"kind": "sensor_silent"}}, "at[0].fault.kind = 'sensor_silent': needs a [[sensor]] on a bus"),
 )
 
 

@@ -263,6 +263,47 @@ def mass() -> None:
     assert at(moments, AT + 0.004).speed < 0.5 * at(moments, AT - 0.004).speed
 
 
+# -- sensors on a bus -------------------------------------------------------------------------------------------------
+
+
+WIRE = 0x120
+
+
+def lengths(moments: Iterable[Moment], start: float, end: float) -> list[float]:
+    return [1e-6 * unpack("<I", frame.data[:4])[0] for frame in frames(between(moments, start, end), WIRE)]
+
+
+def sensor_silent() -> None:
+    moments = drive("odd", {"kind": "sensor_silent", "sensor": "wire", "seconds": 0.5})
+    assert len(lengths(moments, AT - 0.5, AT)) == pytest.approx(50, abs=1)
+    assert not lengths(moments, AT + 0.01, AT + 0.5)
+    assert heard(moments, AT + 0.01, AT + 0.5, 0x110) > 100, "the IMU is heard"
+    assert len(lengths(moments, AT + 0.51, AT + 1.0)) == pytest.approx(49, abs=1)
+
+
+def sensor_frozen() -> None:
+    moments = drive("odd", {"kind": "sensor_frozen", "sensor": "wire", "seconds": 0.5})
+    frozen = frames(between(moments, AT + 0.01, AT + 0.5), WIRE)
+    assert len(frozen) == pytest.approx(49, abs=1)
+    assert len({frame.data for frame in frozen}) == 1
+    assert len({frame.data for frame in frames(between(moments, AT + 0.51, AT + 1.0), WIRE)}) > 40
+
+
+def sensor_stuck() -> None:
+    moments = drive("odd", {"kind": "sensor_stuck", "seconds": 0.5})
+    stuck = frames(between(moments, AT + 0.02, AT + 0.5), WIRE)
+    assert len({frame.data[:4] for frame in stuck}) == 1
+    assert len({frame.data[4] for frame in stuck}) == 16, "it counts on"
+    leaning = frames(between(moments, AT + 0.02, AT + 0.5), 0x110)
+    assert len({frame.data[:6] for frame in leaning}) == 1
+
+
+def sensor_jump() -> None:
+    moments = drive("odd", {"kind": "sensor_jump", "sensor": "wire", "value": 0.1, "seconds": 0.5})
+    assert lengths(moments, AT + 0.02, AT + 0.5) == pytest.approx([0.5] * 48, abs=2e-3)
+    assert lengths(moments, AT + 0.52, AT + 1.0) == pytest.approx([0.4] * 48, abs=2e-3)
+
+
 # -- the loop, and the end of it all ----------------------------------------------------------------------------------
 
 
@@ -322,6 +363,10 @@ EFFECTS: dict[FaultKind, Callable[[], None]] = {
         slope,
         friction,
         mass,
+        sensor_silent,
+        sensor_frozen,
+        sensor_stuck,
+        sensor_jump,
         loop_pause,
         clear,
     )
@@ -342,6 +387,16 @@ def test_clear_of_one_motor_leaves_the_others_broken() -> None:
     moments = drive("omni4", {"kind": "cable_out"}, {"t": 3.0, "kind": "clear", "motor": "front_left"}, before=IDLE)
     assert heard(moments, 3.01, 3.5, 0x201) > 400
     assert heard(moments, 3.01, 3.5, 0x202) == 0
+
+
+def test_clear_mends_sensors() -> None:
+    broken = [{"kind": kind, "sensor": "wire"} for kind in ("sensor_silent", "sensor_frozen", "sensor_stuck")]
+    jump = {"kind": "sensor_jump", "sensor": "wire", "value": 0.1}
+    moments = drive("odd", jump, *broken, {"t": 3.0, "kind": "clear"}, before=IDLE)
+    assert not lengths(moments, AT + 0.01, 3.0)
+    told = lengths(moments, 3.02, 3.5)
+    assert told == pytest.approx([0.4] * len(told), abs=1e-3)
+    assert len(set(told)) > 40
 
 
 def test_clear_ends_an_impact() -> None:

@@ -46,6 +46,35 @@ class Emission(NamedTuple):
     frame: CanFrame
 
 
+class Placed(Protocol):
+    """Who a device is, as far as a bus asks."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def bus(self) -> str: ...
+
+
+class BusDevice(Protocol):
+    """Anything on a simulated bus."""
+
+    @property
+    def setup(self) -> Placed: ...
+
+    @property
+    def acknowledges(self) -> bool:
+        """Whether the device takes part in the bus at all (connected and powered)."""
+        ...
+
+    def receive(self, frame: CanFrame, now_ns: int) -> Sequence[Emission]:
+        """Take a frame from the bus; the replies. Foreign, short and wild frames never raise."""
+        ...
+
+    def poll(self, now_ns: int) -> Sequence[Emission]:
+        """Cyclic frames that became ready since the last poll, oldest first."""
+        ...
+
+
 class SimulatedDevice(Protocol):
     """One simulated motor controller; it sees time only as an argument."""
 
