@@ -25,10 +25,14 @@ NAME = "odd_balancing"
 
 
 class Upright:
-    """`attended`: somebody holds it while nothing drives it. `imu`: what the sensor makes of the truth, or None."""
+    """`attended`: somebody holds it while nothing drives it. `can`: its sensors are those of the robot file.
 
-    def __init__(self, *, edit: Callable[[str], str] = str, attended: bool = True) -> None:
-        config = parse(edit(robot_text(NAME)), NAME)
+    Else it has an IMU over Zenoh alone, without noise and delay, and `imu` is what that makes of the truth, or None.
+    """
+
+    def __init__(self, *, edit: Callable[[str], str] = str, attended: bool = True, can: bool = False) -> None:
+        text = edit(robot_text(NAME))
+        config = parse(text if can else _over_zenoh(text), NAME)
         self.plant: OddDynamics = plant(config.robot)  # type: ignore[arg-type]
         self.plant.attended = attended
         self.loop = ClosedLoop(config, plant=self.plant)
@@ -36,6 +40,7 @@ class Upright:
         self.events: list[Event] = []
         self.imu: Callable[[Attitude], Attitude | None] = lambda attitude: attitude
         self._asked = 0
+        self._can = can
 
     @property
     def mode(self) -> Mode:
@@ -54,7 +59,7 @@ class Upright:
 
     def cycle(self, twist: Twist | None = None, *requests: Request) -> Outputs:
         due_ns = self.loop.next_ns
-        told = self.imu(self.plant.attitude)
+        told = None if self._can else self.imu(self.plant.attitude)
         commands = [] if twist is None else [TwistCommand("teleop", twist, TwistFrame.BODY, None, due_ns, "test")]
         samples = [] if told is None else [SensorSample("imu", tuple(told), None, due_ns)]
         record = self.loop.cycle(commands=commands, requests=requests, samples=samples)
@@ -86,3 +91,9 @@ class Upright:
         self.run(2.0, ZERO_TWIST)
         assert self.is_in(Mode.DRIVE)
         return self
+
+
+def _over_zenoh(text: str) -> str:
+    before, _, rest = text.partition("\n[[sensor]]")
+    _, _, after = rest.partition("\n[commands]")
+    return f'{before}\n[[sensor]]\nname = "imu"\nkind = "attitude"\ntimeout = 0.02\n\n[commands]{after}'

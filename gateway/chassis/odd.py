@@ -21,7 +21,8 @@ from gateway.types import Rates
 class Balance(Section):
     """A robot that stands on its wheels alone: its body as a pendulum over their axle, gains, and how far it may lean.
 
-    What the gains are for is in `gateway.control.pendulum`. `lag`: by which the motors follow at worst.
+    What the gains are for is in `gateway.control.pendulum`. `lag`: by which the wheels follow, `delay`: by which what
+    is known of the pitch is old; both at worst.
     """
 
     height: Annotated[float, Field(ge=0.01, le=5.0, description="m, of the centre of mass above the axle")]
@@ -33,6 +34,7 @@ class Balance(Section):
     catch: Annotated[float, Field(ge=0.02, le=0.5, description="rad, from which it stands up")] = 0.12
     fall: Annotated[float, Field(ge=0.1, le=1.2, description="rad, beyond which it lets go")] = 0.6
     lag: Annotated[float, Field(ge=0.001, le=0.2, description="s")] = 0.02
+    delay: Annotated[float, Field(ge=0.0, le=0.2, description="s")] = 0.01
 
     def gains(self) -> BalanceGains:
         """For the law."""
@@ -149,7 +151,7 @@ class OddRobot(Section):
             pitch_inertia=balance.pitch_inertia,
             radius=self.radius,
         )
-        return Standing(balance.gains(), body, self.radius, self.body.mass, balance.catch, balance.lag)
+        return Standing(balance.gains(), body, self.radius, self.body.mass, balance.catch, balance.lag, balance.delay)
 
     def inertia(self, angles: Sequence[float]) -> Matrix:
         """Two equal halves on slides, at the width of the start."""

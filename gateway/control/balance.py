@@ -127,7 +127,7 @@ class BalancingLaw:
         self._wheels.forget_told()
 
     def _driven(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None) -> Motion:
-        attitude = measured.attitude
+        attitude = self._posture.attitude
         if attitude is None or not self._posture.stands:
             self.forget_told()
             down = self._wheels.motion((0.0,) * len(setpoint), measured, braking=braking)

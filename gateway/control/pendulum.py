@@ -27,6 +27,7 @@ GRAVITY: Final = 9.80665  # m/s^2
 _LONGEST: Final = 5.0  # s that are looked at
 _SETTLED: Final = 1.0  # s of them, at their end, in which it has to stand
 _STEPS: Final = 8  # of each cycle
+_QUICK: Final = 0.25  # of the longest lag
 _FAR: Final = 1.5  # rad: it has fallen, whatever comes after
 
 
@@ -86,7 +87,7 @@ def objection(gains: BalanceGains, body: Pendulum) -> str | None:
 class Standing(NamedTuple):
     """A body, kg, that is kept upright by wheels of this radius, m, from a pitch of `catch`, rad.
 
-    `lag`: time constant by which the wheels follow, s.
+    `lag`: time constant by which the wheels follow, s; `delay`: age of what is known of its pitch, s; both at worst.
     """
 
     gains: BalanceGains
@@ -95,6 +96,7 @@ class Standing(NamedTuple):
     mass: float
     catch: float
     lag: float
+    delay: float
 
     def reserve(self, acceleration: float) -> float:
         """M/s by which the wheels must be able to outrun what is commanded.
@@ -124,27 +126,33 @@ def unfit(
             f"catch = {robot.catch:g}: must be at most {robot.catch * push / needed:.3g}: the wheels push with"
             f" {push:.3g} N, and to catch it takes {needed:.3g} N"
         )
-    if recovery(robot, period=period, delay=delay) is None:
-        return (
-            f"these gains do not catch it from catch = {robot.catch:g} rad, with a loop of {1.0 / period:g} Hz and"
-            f" wheels that follow by lag = {robot.lag:g} s: weaker gains, a faster loop, or less to catch"
-        )
+    for lag in (robot.lag, _QUICK * robot.lag):  # quick wheels answer what is old too soon
+        if recovery(robot, lag=lag, period=period, delay=delay) is None:
+            return (
+                f"these gains do not catch it from catch = {robot.catch:g} rad, with a loop of {1.0 / period:g} Hz,"
+                f" wheels that follow by {lag:g} s and a pitch that is delay = {robot.delay:g} s old: weaker gains, a"
+                " faster loop or sensor, or less to catch"
+            )
     return None
 
 
-def recovery(robot: Standing, *, period: float, delay: float) -> float | None:
+def recovery(robot: Standing, *, lag: float, period: float, delay: float) -> float | None:
     """Seconds until it leans for good a tenth of what it was let go at, at rest; None: it falls, or swings on.
 
-    `delay`: age of what is measured, s; `period`: of the loop, s.
+    `lag`: time constant by which the wheels follow, s; `delay`: age of their speed, s; `period`: of the loop, s.
     """
-    late = int(delay / period + 0.5)
-    old: list[_State] = []  # measurements on their way
+    step = period / _STEPS
+    leaning_late, rolling_late = int(robot.delay / step + 0.5), int(delay / step + 0.5)
     now, way, left = _State(robot.catch, 0.0, 0.0), 0.0, 0.0
+    past = [now]  # of each step
     for cycle in range(int(_LONGEST / period)):
-        old.append(now)
-        seen = old[max(cycle - late, 0)]
-        way += seen.speed * period
-        now = _after(robot, now, _told(robot.gains, seen, way), period)
+        last = len(past) - 1
+        leaning, speed = past[max(last - leaning_late, 0)], past[max(last - rolling_late, 0)].speed
+        way += speed * period
+        told = _told(robot.gains, _State(leaning.pitch, leaning.rate, speed), way)
+        for _ in range(_STEPS):
+            now = _after(robot.body, now, told, lag, step)
+            past.append(now)
         if abs(now.pitch) > _FAR:
             return None
         if abs(now.pitch) >= 0.1 * robot.catch:
@@ -164,14 +172,8 @@ def _told(gains: BalanceGains, seen: _State, way: float) -> float:
     return kp * seen.pitch + kd * seen.rate + kv * seen.speed + ki * way
 
 
-def _after(robot: Standing, now: _State, told: float, period: float) -> _State:
-    """A cycle later."""
-    a, b, c = robot.body
-    pitch, rate, speed = now
-    step = period / _STEPS
-    for _ in range(_STEPS):
-        change = (told - speed) / robot.lag
-        rate += step * (c * pitch - b * change) / a
-        speed += step * change
-        pitch += step * rate
-    return _State(pitch, rate, speed)
+def _after(body: Pendulum, now: _State, told: float, lag: float, step: float) -> _State:
+    """A step later."""
+    change = (told - now.speed) / lag
+    rate = now.rate + step * (body.gravity * now.pitch - body.coupling * change) / body.inertia
+    return _State(now.pitch + step * rate, rate, now.speed + step * change)

@@ -15,6 +15,7 @@ from gateway.types import Attitude
 
 READY_NS: Final = 10_000_000_000  # for so long after the request somebody holds it
 LOWERING_NS: Final = 1_000_000_000
+BLIND_NS: Final = 40_000_000  # without news of its pitch it goes on for so long by what was last known
 FALLING_NS: Final = 1_000_000_000  # a fall lasts at least so long
 
 
@@ -41,6 +42,7 @@ class Posture:
         self._fall = fall
         self._since_ns = 0
         self._now_ns = 0
+        self._seen_ns = 0  # when how it leans was last known
         self.attitude: Attitude | None = None
         self.stance = _DOWN
         self.fallen: str | None = None  # how, from the fall until it lies still
@@ -59,7 +61,9 @@ class Posture:
 
     def look(self, attitude: Attitude | None, now_ns: int) -> None:
         """Take how it leans in this cycle; None: not known."""
-        self._now_ns, self.attitude = now_ns, attitude
+        self._now_ns = now_ns
+        if _tells(attitude) or not self.stands or now_ns - self._seen_ns > BLIND_NS:
+            self._seen_ns, self.attitude = now_ns, attitude
         if (self.stance is _READY and now_ns - self._since_ns > READY_NS) or (
             self.stance is _LOWERING and now_ns - self._since_ns >= LOWERING_NS
         ):
@@ -111,7 +115,7 @@ class Posture:
 
     def _falls(self) -> str | None:
         attitude = self.attitude
-        if attitude is None or attitude.pitch_rate is None:
+        if attitude is None or not _tells(attitude):
             return "how it leans is not known any more"
         if abs(attitude.pitch) > self._fall:
             return f"pitch = {attitude.pitch:.2f} rad: must be from {-self._fall:g} to {self._fall:g}"
@@ -126,3 +130,7 @@ class Posture:
         if abs(attitude.pitch) > self._catch:
             return f"pitch = {attitude.pitch:.2f} rad: must be from {-self._catch:g} to {self._catch:g}"
         return None
+
+
+def _tells(attitude: Attitude | None) -> bool:
+    return attitude is not None and attitude.pitch_rate is not None

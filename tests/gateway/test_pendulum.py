@@ -16,8 +16,8 @@ sizes = st.floats(0.05, 20.0)
 gains = st.floats(-1.0, 20.0)
 
 
-def standing(gains: BalanceGains = GAINS, *, lag: float = 0.02) -> Standing:
-    return Standing(gains, EXAMPLE, radius=0.05, mass=8.0, catch=radians(5.0), lag=lag)
+def standing(gains: BalanceGains = GAINS, *, delay: float = 0.0) -> Standing:
+    return Standing(gains, EXAMPLE, radius=0.05, mass=8.0, catch=radians(5.0), lag=0.02, delay=delay)
 
 
 @given(body=st.builds(Pendulum, sizes, sizes, sizes), told=st.builds(BalanceGains, gains, gains, gains, gains))
@@ -50,19 +50,20 @@ def test_what_is_wrong_is_told_with_its_range(gains: BalanceGains, words: str) -
 
 @pytest.mark.parametrize("lag", [0.002, 0.005, 0.01, 0.02])
 def test_the_example_recovers_from_five_degrees(lag: float) -> None:
-    took = recovery(standing(lag=lag), period=0.001, delay=0.0)
+    took = recovery(standing(), lag=lag, period=0.001, delay=0.0)
     assert took is not None
     assert took <= 1.4
 
 
 def test_without_the_positive_velocity_it_falls() -> None:
-    assert recovery(standing(BalanceGains(3.0, 0.5, 0.0, 0.0)), period=0.001, delay=0.0) is None
+    assert recovery(standing(BalanceGains(3.0, 0.5, 0.0, 0.0)), lag=0.02, period=0.001, delay=0.0) is None
 
 
 def test_what_is_old_makes_it_fall() -> None:
-    assert recovery(standing(), period=0.004, delay=0.0) is not None
-    assert recovery(standing(), period=0.004, delay=0.15) is None
-    assert recovery(standing(lag=0.2), period=0.004, delay=0.0) is None
+    assert recovery(standing(), lag=0.02, period=0.004, delay=0.0) is not None
+    assert recovery(standing(), lag=0.02, period=0.004, delay=0.15) is None
+    assert recovery(standing(), lag=0.2, period=0.004, delay=0.0) is None
+    assert recovery(standing(delay=0.05), lag=0.02, period=0.004, delay=0.0) is None
 
 
 FIT = {"speed": 1.0, "acceleration": 0.5, "wheel_speed": 60.0, "push": 100.0, "period": 0.004, "delay": 0.001}
