@@ -56,8 +56,8 @@ class OddRobot(Section):
         """It does not."""
 
     def channels(self) -> tuple[ChassisChannels, ...]:
-        """Its width."""
-        return (ChassisChannels("width", ("width",), "m", "Width [m]", lambda numbers: numbers[:1]),)
+        """Its width, and the one that is asked for."""
+        return (ChassisChannels("width", ("width", "width_wanted"), "m", "Width [m]", lambda numbers: numbers[:2]),)
 
     def law(self, parts: LawParts) -> OddLaw:
         """Every wheel at its speed, within the range of the width."""
@@ -69,7 +69,9 @@ class OddRobot(Section):
             kinematics,
             wheels=SpeedLaw(kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period),
             top_speeds=parts.top_speeds,
+            top_rate=parts.velocity[RATE],
             acceleration=parts.acceleration[RATE],
+            lateness=parts.acceleration[RATE] / parts.jerk[RATE] + parts.delay + parts.period,
             yields=self.yields,
             place=self.width_sensor,
         )

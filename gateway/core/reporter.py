@@ -231,12 +231,21 @@ class Reporter:
         return [Event(_MODE_LEVELS.get(mode, Level.INFO), f"mode_{mode.value}", text)]
 
 
-def waiting_for(mode: Mode, *, faults: Sequence[Fault], command: TwistCommand | None, shutdown: bool) -> str | None:
-    """Why the robot does not drive, in words; None when it does."""
+def waiting_for(
+    mode: Mode,
+    *,
+    faults: Sequence[Fault],
+    command: TwistCommand | None,
+    shutdown: bool,
+    unready: str | None = None,
+) -> str | None:
+    """Why the robot does not drive, in words; None when it does. `unready`: what its drive law waits for."""
     if mode is _STOPPING:
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
     if faults and mode is not _ESTOP:
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
+    if mode is _IDLE and unready is not None:
+        return unready
     if mode is _IDLE and command is not None and not command.still:
         return f"waiting for a zero command from {command.source}"
     return _REASONS.get(mode)

@@ -104,8 +104,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
     "gateway.kinematics.odd.Width": frozenset(),
     "gateway.control.odd_law.OddLaw": frozenset(
-        {"_acceleration", "_features", "_kinematics", "_place", "_top_speeds", "_yields"}
+        {"_acceleration", "_features", "_gain", "_kinematics", "_place", "_top_rate", "_top_speeds", "_yields"}
     ),
+    "gateway.control.odd_width.WidthEstimate": frozenset({"_gate", "_narrowest", "_sensor", "_widest"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(
