@@ -95,11 +95,12 @@ class Client:
         width_rate: SupportsFloat | None = None,
         path_rate: SupportsFloat | None = None,
         region: Region | None = None,
+        width: SupportsFloat | None = None,
     ) -> None:
         """Puts one command, any kind of number; without `sequence` the client counts itself.
 
-        `width_rate` (m/s), `path_rate` (rad/s, how fast the direction of the path turns) and `region` are for chassis
-        that can do so; the others refuse what they cannot.
+        `width_rate` (m/s) or `width` (m, to go to and to keep), `path_rate` (rad/s, how fast the direction of the path
+        turns) and `region` are for chassis that can do so; the others refuse what they cannot.
         Raises ValueError, naming axis and range, for a twist that no robot takes; TypeError for what is no number.
         """
         payload = messages.encode_twist(
@@ -111,6 +112,7 @@ class Client:
             width_rate=width_rate,
             path_rate=path_rate,
             region=region,
+            width=width,
         )
         self._sequence = self._sequence + 1 if sequence is None else index(sequence)
         self._commander(source).put(payload)

@@ -80,17 +80,27 @@ def start(client: Client, source: str, timeout: float = START_TIMEOUT_S) -> bool
     return False
 
 
-def stream(client: Client, source: str, vx: float, vy: float, wz: float, *, seconds: float) -> str | None:
+def stream(
+    client: Client,
+    source: str,
+    vx: float,
+    vy: float,
+    wz: float,
+    *,
+    seconds: float,
+    width_rate: float | None = None,
+    width: float | None = None,
+) -> str | None:
     """One twist at the command rate for so long, or until the robot stops for good; why it does not drive at the end.
 
-    A source that was outranked or late for a moment goes on.
+    `width_rate` (m/s), or `width` (m), beside it. A source that was outranked or late for a moment goes on.
     """
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         state = client.state()
         if not client.alive or (state is not None and state.status.mode in ENDED):
             break
-        client.send_twist(vx, vy, wz, source=source)
+        client.send_twist(vx, vy, wz, source=source, width_rate=width_rate, width=width)
         time.sleep(1.0 / COMMAND_RATE_HZ)
     return objection(client, source)
 

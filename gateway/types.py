@@ -75,7 +75,8 @@ class TwistCommand(NamedTuple):
 
     `stamped`: the sender told when it was sent, and `received_ns` allows for the delay on its way.
     `sender`: which of the processes that may use this source; None where it does not say.
-    `width_rate`: m/s by which the wheels go apart; `path_rate`: rad/s by which the direction of the path turns, a hint.
+    `width_rate`: m/s by which the wheels go apart; `width`: m to go to and to keep, never beside a rate; `path_rate`:
+    rad/s by which the direction of the path turns, a hint.
     What of these and of the regions a chassis can do is said by its drive law.
     """
 
@@ -89,11 +90,12 @@ class TwistCommand(NamedTuple):
     width_rate: float | None = None
     path_rate: float | None = None
     region: Region = Region.ANY
+    width: float | None = None
 
     @property
     def still(self) -> bool:
         """Whether it asks for no motion of any kind."""
-        return self.twist == ZERO_TWIST and not self.width_rate
+        return self.twist == ZERO_TWIST and not self.width_rate and self.width is None
 
 
 class SensorKind(Enum):

@@ -41,8 +41,7 @@ def grows_only_in_drive(drive: Drive, _: RobotConfig) -> Iterator[str]:
     """Outside DRIVE and DEGRADED no axis of the body's setpoint grows or changes its sign."""
     for before, now in pairs(drive):
         if now.outputs.mode not in DRIVING and _grows(before, now):
-            a, b = before.outputs.trace.setpoint, now.outputs.trace.setpoint
-            yield f"{_when(now)}: setpoint grows from {tuple(a)} to {tuple(b)}"
+            yield f"{_when(now)}: setpoint grows from {_setpoint(before)} to {_setpoint(now)}"
 
 
 def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
@@ -225,7 +224,7 @@ class _Zeros:
 
     def forget_the_impatient(self) -> None:
         """The robot has not started: a zero counts as long as nothing else follows it."""
-        self._zeroed = {name for name in self._zeroed if self._newest[name].twist == ZERO_TWIST}
+        self._zeroed = {name for name in self._zeroed if _is_zero(self._newest[name])}
 
     def receive(self, inputs: Inputs) -> None:
         """The commands of a cycle. Another sender needs a zero too, and so does an unstamped one after its timeout."""
@@ -234,7 +233,7 @@ class _Zeros:
             self._newest[command.source] = command
             if before is not None and self._is_another(before, command):
                 self._zeroed.discard(command.source)
-            if command.twist == ZERO_TWIST and command.received_ns > self._since_ns:
+            if _is_zero(command) and command.received_ns > self._since_ns:
                 self._zeroed.add(command.source)
 
     def entitled(self, now_ns: int) -> list[TwistCommand]:
@@ -280,8 +279,19 @@ class _Reach:
 
 
 def _grows(before: Moment, now: Moment) -> bool:
-    axes = zip(before.outputs.trace.setpoint, now.outputs.trace.setpoint, strict=True)
+    axes = zip(_setpoint(before), _setpoint(now), strict=True)
     return any(abs(new) > abs(old) + ROUNDING or new * old < -(ROUNDING**2) for old, new in axes)
+
+
+def _setpoint(now: Moment) -> tuple[float, ...]:
+    """Of every axis."""
+    trace = now.outputs.trace
+    return (*trace.setpoint, *[axis.setpoint for axis in trace.more])
+
+
+def _is_zero(command: TwistCommand) -> bool:
+    """It asks for nothing, also not of the width: a width to go to is motion wherever the wheels are."""
+    return command.twist == ZERO_TWIST and not command.width_rate and command.width is None
 
 
 def _when(now: Moment) -> str:

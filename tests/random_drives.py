@@ -128,9 +128,20 @@ def _command(chance: Random, config: RobotConfig, t: float, *, still: bool, sour
     command = {"source": source, "vx": vx, "vy": vy, "wz": wz, "rate": rate, "stamped": stamped}
     if chance.random() < 0.1:
         command["sender"] = "stranger"
+    if not still and "width_rate" in config.robot.AXES:
+        command |= _width(chance, config)
     if getattr(config.robot, "manoeuvre", None) is not None:
         command["region"] = chance.choice(list(Region)).value
     return {"t": t, "command": command}
+
+
+def _width(chance: Random, config: RobotConfig) -> Entry:
+    """A rate, a width, sometimes beyond the range, or neither."""
+    narrowest, widest = (getattr(config.robot, key) for key in ("narrowest", "widest"))
+    (top,) = config.limits.velocity.as_rates(config.robot.AXES)[3:]
+    given = {"width_rate": chance.uniform(-1.3, 1.3) * top, "width": chance.uniform(0.9 * narrowest, 1.1 * widest)}
+    key = chance.choice(["width_rate", "width", None])
+    return {} if key is None else {key: given[key]}
 
 
 def _fault(chance: Random, config: RobotConfig) -> Entry:

@@ -96,11 +96,11 @@ class OddRobot(Section):
         """It does not."""
 
     def channels(self) -> tuple[ChassisChannels, ...]:
-        """Its width, and how its wheels roll to keep it upright."""
-        width = ChassisChannels("width", ("width",), "m", "Width [m]", lambda numbers: numbers[:1])
+        """Its width, the one that is asked for, and how its wheels roll to keep it upright."""
+        width = ChassisChannels("width", ("width", "width_wanted"), "m", "Width [m]", lambda numbers: numbers[:2])
         if self.balance is None:
             return (width,)
-        told = ChassisChannels("balance", ("rolled",), "m/s", "Rolled to balance [m/s]", lambda numbers: numbers[1:2])
+        told = ChassisChannels("balance", ("rolled",), "m/s", "Rolled to balance [m/s]", lambda numbers: numbers[2:3])
         return width, told
 
     def law(self, parts: LawParts) -> DriveLaw:
@@ -113,7 +113,9 @@ class OddRobot(Section):
             kinematics,
             wheels=SpeedLaw(kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period),
             top_speeds=parts.top_speeds,
+            top_rate=parts.velocity[RATE],
             acceleration=parts.acceleration[RATE],
+            lateness=parts.acceleration[RATE] / parts.jerk[RATE] + parts.delay + parts.period,
             yields=self.yields,
             place=self.width_sensor,
         )

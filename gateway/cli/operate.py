@@ -51,25 +51,27 @@ def open_client(name_or_file: str, connect: str | None, *, zero_on_exit: bool = 
     return client
 
 
-def send(  # noqa: PLR0917  # a command line: each parameter is an option with a name
+def send(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
     name: RobotName,
     vx: Annotated[float, typer.Option(help="Forward, m/s.")] = 0.0,
     vy: Annotated[float, typer.Option(help="Left, m/s.")] = 0.0,
     wz: Annotated[float, typer.Option(help="Counter-clockwise, rad/s.")] = 0.0,
     seconds: Annotated[float, typer.Option("--for", min=0.0, max=3600.0, help="Duration, s.")] = 1.0,
     source: Annotated[str, typer.Option(help="Command source as named in the robot file.")] = "teleop",
+    width: Annotated[float | None, typer.Option(help="To which the wheels go apart, m.")] = None,
+    width_rate: Annotated[float | None, typer.Option(help="By which they do, m/s; never beside a width.")] = None,
     connect: Connect = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
     """Arm the robot with zero commands, drive one twist for a while, and bring it to rest."""
     twist = Twist(vx, vy, wz)
     try:
-        encode_twist(twist)
+        encode_twist(twist, width=width, width_rate=width_rate)
     except ValueError as error:
         complain(str(error))
         raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect, zero_on_exit=True) as client:
-        reason = _send(client, source, twist, seconds)
+        reason = _send(client, source, twist, seconds, width=width, width_rate=width_rate)
         refusals = list(dict.fromkeys(event.text for event in client.events() if is_refusal(event, source)))
         odometry = client.odometry()
     pose = None if odometry is None else Pose(odometry.x, odometry.y, odometry.theta)
@@ -84,12 +86,14 @@ def send(  # noqa: PLR0917  # a command line: each parameter is an option with a
         raise typer.Exit(EXIT_REFUSED)
 
 
-def _send(client: Client, source: str, twist: Twist, seconds: float) -> str | None:
+def _send(
+    client: Client, source: str, twist: Twist, seconds: float, *, width: float | None, width_rate: float | None
+) -> str | None:
     """Drives; what was not as asked, None: all was."""
     if not start(client, source):
         return f"does not start: {objection(client, source) or 'it drove too late'}"
     before = client.odometry()
-    reason = stream(client, source, *twist, seconds=seconds)
+    reason = stream(client, source, *twist, seconds=seconds, width=width, width_rate=width_rate)
     if not rest(client, source) and reason is None:
         return f"did not come to rest within {REST_TIMEOUT_S:g} s"
     after = client.odometry()

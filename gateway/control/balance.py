@@ -78,6 +78,15 @@ class BalancingLaw:
         return self._posture
 
     @property
+    def unready(self) -> str | None:
+        """What the wheels wait for, or why it is not to stand up."""
+        return self._wheels.unready or self._posture.objection()
+
+    def width_rate(self, width: float) -> float:
+        """As the wheels."""
+        return self._wheels.width_rate(width)
+
+    @property
     def settings(self) -> Mapping[str, float]:
         """Those of the wheels."""
         return self._wheels.settings

@@ -89,6 +89,7 @@ class Features(NamedTuple):
     """What of a command a chassis can do besides its twist; what it cannot is refused and moves nothing."""
 
     width: bool = False  # the wheels can go apart
+    widths: tuple[float, float] | None = None  # m, from and to which, where it knows
     regions: frozenset[Region] = frozenset({Region.ANY})
     more_regions: str = ""  # what the robot file has to say for others, where anything helps
     grip: bool = False  # it knows what the floor gives
@@ -102,6 +103,12 @@ class Features(NamedTuple):
         """Why this command is none for this chassis; None: it is one."""
         if command.width_rate is not None and not self.width:
             return f"width_rate = {command.width_rate:g}: must be left out: the width of this chassis is fixed"
+        if command.width is not None and self.widths is None:
+            return f"width = {command.width:g}: must be left out: the width of this chassis is fixed, or not known"
+        if command.width is not None and self.widths is not None:
+            narrowest, widest = self.widths
+            if not narrowest <= command.width <= widest:
+                return f"width = {command.width:g}: must be from {narrowest:g} to {widest:g} m on this robot"
         if command.region not in self.regions:
             known = " or ".join(repr(region.value) for region in Region if region in self.regions)
             return f"region = {command.region.value!r}: must be {known} on this chassis{self.more_regions}"
@@ -139,6 +146,15 @@ class DriveLaw(Protocol):
 
     def set(self, name: str, value: float) -> str | None:
         """Take a new value of one of these, within its range and without a step; why not, if not."""
+        ...
+
+    @property
+    def unready(self) -> str | None:
+        """What it has to know before anything may be driven, in words; None: nothing. Asked of a released robot."""
+        ...
+
+    def width_rate(self, width: float) -> float:
+        """Rate, m/s, at which to go to this width (m). Only of a law that knows its widths; before `aim`."""
         ...
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
@@ -224,6 +240,15 @@ class SpeedLaw:
     def set(self, name: str, value: float) -> str | None:
         """There is nothing to set."""
         return f"{name}: this chassis has no such setting"
+
+    @property
+    def unready(self) -> str | None:
+        """Nothing."""
+        return None
+
+    def width_rate(self, width: float) -> float:
+        """It knows no width."""
+        return 0.0
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         """All of it."""

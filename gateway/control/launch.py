@@ -155,6 +155,15 @@ class LaunchLaw:
         self._learn(value)
         return None
 
+    @property
+    def unready(self) -> str | None:
+        """Nothing."""
+        return None
+
+    def width_rate(self, width: float) -> float:
+        """It knows no width."""
+        return 0.0
+
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         """All of it."""
         return target

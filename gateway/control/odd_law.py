@@ -2,10 +2,12 @@
 
 How this works
 --------------
-The width is what the wheels add up to from the one at the start, drawn towards a sensor of it where there is one. Near
-an end of the range no rate outward is aimed at that half the acceleration of the width could not stop in time, and none
-is driven that all of it could not. What the wheels cannot turn at once yields as the robot file says: the width, the
-motion, or all in proportion; what exceeds them still, on its way from one setpoint to another, is scaled as a whole.
+The width is that of `gateway.control.odd_width`, which also says how freely it may change. Near an end of the range no
+rate outward is aimed at that half the acceleration of the width could not stop in time, and none is driven that all of
+it could not. A width that is commanded is gone to at a rate in proportion to what is missing, and just as softly: a
+cascade over the loop of the rate, whose gain follows from how late the rate follows. What the wheels cannot turn at
+once yields as the robot file says: the width, the motion, or all in proportion; what exceeds them still, on its way
+from one setpoint to another, is scaled as a whole.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,15 +17,15 @@ from typing import Final
 
 from gateway.control.drive_law import Features, Measured, Motion, SpeedLaw
 from gateway.control.limits import Ground
+from gateway.control.odd_width import CORRECTION, GATE, WidthEstimate
 from gateway.control.posture import Posture
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.odd import OddKinematics
-from gateway.types import Facts, Rates, Region
+from gateway.types import Event, Facts, Rates, Region
 
 RATE: Final = 3  # place of the width's rate among the axes
 EARLY: Final = 0.5  # of the acceleration, with which an aim ends at the range: the rest is for jerk and lateness
-CORRECTION: Final = 0.05  # of what a sensor says otherwise, taken in each cycle
-FAR: Final = 0.05  # m off: a sample that is none; source: ours, half of what a pair of wheels is wide
+DAMPING: Final = 0.25  # gain of the width times the lateness of its rate: k / (s (1 + T s)) is critically damped at 1/4
 
 
 class Yields(Enum):
@@ -35,7 +37,10 @@ class Yields(Enum):
 
 
 class OddLaw:
-    """State owner. `place`: of the sensor of the width among those of kind range, None: there is none."""
+    """State owner. `place`: of the sensor of the width among those of kind range, None: there is none.
+
+    `top_rate` and `acceleration` of the width, m/s and m/s^2; `lateness`: s by which its rate follows a command.
+    """
 
     def __init__(
         self,
@@ -43,7 +48,9 @@ class OddLaw:
         *,
         wheels: SpeedLaw,
         top_speeds: Sequence[float],
+        top_rate: float,
         acceleration: float,
+        lateness: float,
         yields: Yields,
         place: int | None,
     ) -> None:
@@ -53,14 +60,24 @@ class OddLaw:
         self._acceleration = acceleration  # m/s^2 of the width
         self._yields = yields
         self._place = place
-        self._features = Features(width=True)
+        geometry = kinematics.geometry
+        self._features = Features(width=True, widths=(geometry.narrowest, geometry.widest))
+        self._gain = DAMPING / lateness
+        self._top_rate = top_rate
         self._width = kinematics.width
-        self._sensed = False  # the sensor of the width is heard and believed
+        self._known = WidthEstimate(
+            self._width.metres,
+            narrowest=geometry.narrowest,
+            widest=geometry.widest,
+            gate=GATE + top_rate / CORRECTION,
+            sensed=place is not None,
+        )
+        self._wanted: float | None = None  # a width that was asked for in this cycle, m
 
     @property
     def facts(self) -> Facts:
-        """The width, m, and whether a sensor confirms it."""
-        return {"width": self._width.metres, "width_sensed": self._sensed}
+        """The width, m, what it is from, and by how much (m) it may be off while no sensor confirms it."""
+        return {"width": self._width.metres, "width_by": self._known.by, "width_doubt": self._known.doubt}
 
     @property
     def features(self) -> Features:
@@ -73,6 +90,18 @@ class OddLaw:
         return None
 
     @property
+    def unready(self) -> str | None:
+        """As long as a sensor of the width has not told it."""
+        return self._known.unready
+
+    def width_rate(self, width: float) -> float:
+        """At which to go there."""
+        self._wanted = width
+        missing = width - self._width.metres
+        rate = min(self._gain * abs(missing), self._top_rate, sqrt(2.0 * EARLY * self._acceleration * abs(missing)))
+        return rate if missing > 0.0 else -rate
+
+    @property
     def settings(self) -> Mapping[str, float]:
         """Nothing."""
         return {}
@@ -83,7 +112,9 @@ class OddLaw:
 
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         """What ends within the range of the width, and what the wheels can turn, at this width."""
-        return self._fitted(self._within(target, EARLY * self._acceleration))
+        most = self._known.freedom.share * self._top_rate
+        slow = target if abs(target[RATE]) <= most else (*target[:RATE], most if target[RATE] > 0.0 else -most)
+        return self._fitted(self._within(slow, EARLY * self._acceleration))
 
     def ground(self, *, whole: bool) -> Ground | None:
         """It does not know."""
@@ -91,17 +122,19 @@ class OddLaw:
 
     def motion(self, setpoint: Rates, measured: Measured, *, braking: bool, path_rate: float | None = None) -> Motion:
         """Every wheel at its speed, with no rate of the width that could not be stopped within its range."""
-        self._measure(measured)
+        events = self._measure(measured)
+        if any(setpoint):
+            self._known.drive()
         within = self._within(setpoint, self._acceleration)
         driven = self._wheels.motion(within, measured, braking=braking, path_rate=path_rate)
         limits = driven.limits if within is setpoint else (*driven.limits, "width")
-        return Motion(driven.commands, driven.share, limits, (self._width.metres,), driven.events)
+        return Motion(driven.commands, driven.share, limits, self._numbers(), (*driven.events, *events))
 
     def stop(self, measured: Measured) -> Motion:
         """Every wheel braked."""
-        self._measure(measured)
+        events = self._measure(measured)
         braked = self._wheels.stop(measured)
-        return Motion(braked.commands, numbers=(self._width.metres,))
+        return Motion(braked.commands, numbers=self._numbers(), events=events)
 
     def moves(self, measured: Measured, *, turning: bool | None) -> bool | None:
         """It stands when its wheels do."""
@@ -112,25 +145,28 @@ class OddLaw:
         return True
 
     def forget_told(self) -> None:
-        """It goes by the setpoint alone."""
+        """Wheels that were let go may have been moved."""
+        self._known.release()
 
-    def _measure(self, measured: Measured) -> None:
-        """The width after this cycle, within its stops."""
-        geometry, width = self._kinematics.geometry, self._width.metres
-        if measured.estimate is not None:
-            width += measured.estimate.more[0] * measured.dt
+    def _measure(self, measured: Measured) -> tuple[Event, ...]:
+        """The width after this cycle, and what there is to say of it."""
         told = None
         if self._place is not None and self._place < len(measured.ranges):
             told = measured.ranges[self._place]
-        self._sensed = told is not None and abs(told - width) <= FAR
-        if told is not None and self._sensed:
-            width += CORRECTION * (told - width)
-        self._width.metres = min(max(width, geometry.narrowest), geometry.widest)
+        rate = None if measured.estimate is None else measured.estimate.more[0]
+        events = self._known.measure(rate, told, measured.dt)
+        self._width.metres = self._known.metres
+        return events
+
+    def _numbers(self) -> tuple[float | None, ...]:
+        """Of its channels: the width, and the one that is asked for."""
+        wanted, self._wanted = self._wanted, None
+        return self._width.metres, wanted
 
     def _within(self, rates: Rates, acceleration: float) -> Rates:
         """With no more rate towards an end of the range than stops before it."""
         geometry, width, rate = self._kinematics.geometry, self._width.metres, rates[RATE]
-        gap = geometry.widest - width if rate > 0.0 else width - geometry.narrowest
+        gap = (geometry.widest - width if rate > 0.0 else width - geometry.narrowest) - self._known.freedom.margin
         most = sqrt(2.0 * acceleration * max(gap, 0.0))
         if abs(rate) <= most:
             return rates

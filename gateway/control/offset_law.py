@@ -141,6 +141,15 @@ class OffsetDifferentialLaw:
             return f"gain {gain:g}: the loop is too slow for it at top speed"
         return refusal
 
+    @property
+    def unready(self) -> str | None:
+        """Nothing."""
+        return None
+
+    def width_rate(self, width: float) -> float:
+        """It knows no width."""
+        return 0.0
+
     def aim(
         self, target: Rates, measured: Measured, *, region: WayRound, path_rate: float | None, whole: bool
     ) -> Rates:

@@ -184,7 +184,11 @@ class Engine:
         twist, residual, residuals, _ = measured.estimate or (None, None, None, ())
         command = self._arbiter.moving(now_ns) if self._mode is _IDLE else selection.command
         reason = waiting_for(
-            self._mode, faults=health.faults, command=command, shutdown=self._shutdown, posture=self._posture
+            self._mode,
+            faults=health.faults,
+            command=command,
+            shutdown=self._shutdown,
+            unready=self._law.unready if self._mode is _IDLE else None,
         )
         events = self._reporter.events(
             inputs,
@@ -504,8 +508,8 @@ class Engine:
                 start=self._mode is _IDLE
                 and selection.command is not None
                 and selection.command.still
-                and (self._posture is None or self._posture.objection() is None)
-                and (well or self._had_time_to_answer(now_ns)),
+                and (well or self._had_time_to_answer(now_ns))
+                and self._law.unready is None,
                 armed=not unarmed,
                 overdue=overdue,
                 rested=self._rested(now_ns),
@@ -581,6 +585,8 @@ class Engine:
         command = selection.command
         if self._mode not in DRIVING or command is None:
             return (0.0,) * len(self._more)
+        if command.width is not None:
+            command = command._replace(width_rate=self._law.width_rate(command.width))
         return more_of(command, self._more)
 
     def _reached(self, target: Rates) -> Rates:

@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Final
 
 from gateway.config import RobotConfig
-from gateway.control.posture import Posture
 from gateway.core.health import Fault
 from gateway.types import (
     BusEvent,
@@ -238,17 +237,18 @@ def waiting_for(
     faults: Sequence[Fault],
     command: TwistCommand | None,
     shutdown: bool,
-    posture: Posture | None = None,
+    unready: str | None = None,
 ) -> str | None:
-    """Why the robot does not drive, in words; None when it does."""
+    """Why the robot does not drive, in words; None when it does. `unready`: what its drive law waits for."""
     if mode is _STOPPING:
         return "shutting down" if shutdown else "no fresh command" if command is None else "arming was interrupted"
     if faults and mode is not _ESTOP:
         return str(faults[0]) + ("; needs a reset" if faults[0].latched else "")
+    if mode is _IDLE and unready is not None:
+        return unready
     if mode is _IDLE and command is not None and not command.still:
         return f"waiting for a zero command from {command.source}"
-    down = None if posture is None or mode is not _IDLE else posture.objection()
-    return down or _REASONS.get(mode)
+    return _REASONS.get(mode)
 
 
 def _counted(level: Level, code: str, text: str, count: int) -> list[Event]:

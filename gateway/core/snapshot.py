@@ -104,13 +104,14 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
     "gateway.kinematics.odd.Width": frozenset(),
     "gateway.control.odd_law.OddLaw": frozenset(
-        {"_acceleration", "_features", "_kinematics", "_place", "_top_speeds", "_yields"}
+        {"_acceleration", "_features", "_gain", "_kinematics", "_place", "_top_rate", "_top_speeds", "_yields"}
     ),
     "gateway.control.posture.Posture": frozenset({"_catch", "_fall"}),
     "gateway.control.balance.BalancingLaw": frozenset(
         {"_acceleration", "_body", "_coasts", "_commanded", "_gains", "_kinematics", "_radius", "_taken_up"}
         | {"_top_speeds", "_torques"}
     ),
+    "gateway.control.odd_width.WidthEstimate": frozenset({"_gate", "_narrowest", "_sensor", "_widest"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),
     "drivers.dji._Motor": frozenset(

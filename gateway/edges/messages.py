@@ -18,8 +18,9 @@
 | `alive`              | liveliness | there while the gateway runs                                                   |
 
 A twist: m/s and rad/s, all three required, finite, within the ranges below; no other keys, none twice, at most
-MAX_PAYLOAD bytes. Optional: `frame`, "body" (when left out) or "odom"; `width_rate`, m/s; `path_rate`, rad/s; `region`,
-"any" (when left out), "push" or "pull"; what the chassis cannot do of these is refused by the core.
+MAX_PAYLOAD bytes. Optional: `frame`, "body" (when left out) or "odom"; `width_rate`, m/s, or `width`, m, never both;
+`path_rate`, rad/s; `region`, "any" (when left out), "push" or "pull"; what the chassis cannot do of these is refused by
+the core.
 `seq` grows by any step from one command to the next.
 A sample of a sensor: `{"heading"}`, `{"roll", "pitch"}` and, each optional, `"roll_rate", "pitch_rate", "yaw_rate"`, or
 `{"range"}`; rad, rad/s, m, and as for a twist, each optional, `"seq", "stamp", "sender"`. The same rules.
@@ -36,7 +37,7 @@ from math import inf
 from operator import index
 from typing import Annotated, Literal, NamedTuple, SupportsFloat, SupportsIndex, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo, field_validator
 from pydantic_core import from_json, to_json
 
 from gateway.sections import NAME_PATTERN
@@ -62,6 +63,7 @@ MAX_PAYLOAD = 1024  # bytes; a full twist is below 200
 MAX_SPEED = 20.0  # m/s: faster is no wheeled robot of this service but a wrong unit
 MAX_TURN = 50.0  # rad/s: likewise
 MAX_WIDTH_RATE = 5.0  # m/s
+MAX_WIDTH = 10.0  # m
 MAX_SEQUENCE = 2**63 - 1  # what a recording can hold
 MAX_STAMP = 1e10  # s, three centuries; a double still tells microseconds apart
 MAX_SETTING = 1e9  # the range of each setting is the core's business
@@ -78,6 +80,7 @@ _ALLOWED = {
     "wz": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "frame": "'body' or 'odom'",
     "width_rate": f"a number from {-MAX_WIDTH_RATE:g} to {MAX_WIDTH_RATE:g} m/s",
+    "width": f"a number from 0 to {MAX_WIDTH:g} m, and the only one of width and width_rate",
     "path_rate": f"a number from {-MAX_TURN:g} to {MAX_TURN:g} rad/s",
     "region": "'any', 'push' or 'pull'",
     "seq": "a whole number from 0 to 2^63-1",
@@ -121,6 +124,15 @@ class _TwistPayload(_SentPayload):
     width_rate: Annotated[float, Field(ge=-MAX_WIDTH_RATE, le=MAX_WIDTH_RATE)] | None = None
     path_rate: Annotated[float, Field(ge=-MAX_TURN, le=MAX_TURN)] | None = None
     region: Literal["any", "push", "pull"] = "any"
+    width: Annotated[float, Field(ge=0.0, le=MAX_WIDTH)] | None = None
+
+    @field_validator("width")
+    @classmethod
+    def _one_of_both(cls, width: float | None, others: ValidationInfo) -> float | None:
+        if width is not None and others.data.get("width_rate") is not None:
+            message = "beside width_rate"
+            raise ValueError(message)
+        return width
 
 
 class _HeadingPayload(_SentPayload):
@@ -278,11 +290,12 @@ def parse_twist(payload: bytes, *, source: str, received_ns: int) -> TwistMessag
         width_rate=parsed.width_rate,
         path_rate=parsed.path_rate,
         region=Region(parsed.region),
+        width=parsed.width,
     )
     return TwistMessage(command, _nanoseconds(parsed.stamp))
 
 
-def encode_twist(
+def encode_twist(  # noqa: PLR0913  # all that a command may say
     twist: tuple[SupportsFloat, SupportsFloat, SupportsFloat],
     *,
     frame: TwistFrame | None = None,
@@ -292,6 +305,7 @@ def encode_twist(
     width_rate: SupportsFloat | None = None,
     path_rate: SupportsFloat | None = None,
     region: Region | None = None,
+    width: SupportsFloat | None = None,
 ) -> bytes:
     """What a commander puts on `cmd/twist/<source>`; any kind of number (numpy's, fractions) travels as a number.
 
@@ -306,6 +320,7 @@ def encode_twist(
         "width_rate": None if width_rate is None else _number("width_rate", width_rate),
         "path_rate": None if path_rate is None else _number("path_rate", path_rate),
         "region": None if region is None else region.value,
+        "width": None if width is None else _number("width", width),
     }
     return _checked(document | {key: value for key, value in optional.items() if value is not None}, _TwistPayload)
 

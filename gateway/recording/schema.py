@@ -139,15 +139,15 @@ GAP_COLUMNS = {"first_cycle": Kind.INT, "last_cycle": Kind.INT, "reason": Kind.T
 
 def _command_rows(record: Record) -> Sequence[Row]:
     return [
-        (c.source, *c.twist, c.frame.value, *c[3:9], None if c.region is Region.ANY else c.region.value)
+        (c.source, *c.twist, c.frame.value, *c[3:9], None if c.region is Region.ANY else c.region.value, c.width)
         for c in record.inputs.commands
     ]
 
 
 def _command(row: Row) -> TwistCommand:
-    source, vx, vy, wz, frame, *rest, region = row
-    command = TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *rest)
-    return command if region is None else command._replace(region=Region(region))
+    source, vx, vy, wz, frame, *rest, region, width = row
+    region = Region.ANY if region is None else Region(region)
+    return TwistCommand(source, Twist(vx, vy, wz), TwistFrame(frame), *(*rest, region, width))
 
 
 def _refusal_rows(record: Record) -> Sequence[Row]:
@@ -225,7 +225,8 @@ COMMANDS = Table(
     "commands",
     {"source": Kind.TEXT, "vx": Kind.FLOAT, "vy": Kind.FLOAT, "wz": Kind.FLOAT, "frame": Kind.TEXT}
     | {"sequence": Kind.MAYBE_INT, "received_ns": Kind.INT, "sender": Kind.MAYBE_TEXT, "stamped": Kind.BOOL}
-    | {"width_rate": Kind.MAYBE_FLOAT, "path_rate": Kind.MAYBE_FLOAT, "region": Kind.MAYBE_TEXT},
+    | {"width_rate": Kind.MAYBE_FLOAT, "path_rate": Kind.MAYBE_FLOAT, "region": Kind.MAYBE_TEXT}
+    | {"width": Kind.MAYBE_FLOAT},
     _command_rows,
     each(_command),
 )

@@ -20,6 +20,8 @@ class Stream:
     stamped: bool
     sender: str
     region: Region = Region.ANY
+    width_rate: float | None = None
+    width: float | None = None
 
 
 class Commanders:
@@ -31,7 +33,7 @@ class Commanders:
         self._newest: dict[str, TwistCommand] = {}
         self._frozen_since_ns: int | None = None
 
-    def stream(
+    def stream(  # noqa: PLR0913  # all that a command may say
         self,
         source: str,
         twist: Twist,
@@ -41,10 +43,14 @@ class Commanders:
         sender: str,
         now_ns: int,
         region: Region = Region.ANY,
+        width_rate: float | None = None,
+        width: float | None = None,
     ) -> None:
         """From now on this sender sends this twist as this source."""
         self.send(now_ns)
-        self._streams[source] = Stream(source, twist, round(_SECOND_NS / rate), now_ns, stamped, sender, region)
+        self._streams[source] = Stream(
+            *(source, twist, round(_SECOND_NS / rate), now_ns, stamped, sender, region, width_rate, width)
+        )
 
     def silence(self, source: str, now_ns: int) -> None:
         """This source sends nothing any more."""
@@ -65,6 +71,8 @@ class Commanders:
                     stream.sender,
                     stream.stamped,
                     region=stream.region,
+                    width_rate=stream.width_rate,
+                    width=stream.width,
                 )
                 stream.due_ns += stream.period_ns
 

@@ -162,6 +162,7 @@ def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Clie
                 source=one.source,
                 frame=one.frame,
                 width_rate=one.width_rate,
+                width=one.width,
                 path_rate=one.path_rate,
                 region=one.region,
             )

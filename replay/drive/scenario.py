@@ -173,6 +173,8 @@ class _Drive:
             sender=command.sender,
             now_ns=now_ns,
             region=command.region,
+            width_rate=command.width_rate,
+            width=command.width,
         )
 
     def _request(self, kind: RequestKind, angle: float | None, now_ns: int) -> None:

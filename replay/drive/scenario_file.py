@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from gateway import robot_files
 from gateway.config import ConfigError, RobotConfig, parse_as, read
 from gateway.core.settings import problems
-from gateway.edges.messages import MAX_SPEED, MAX_TURN
+from gateway.edges.messages import MAX_SPEED, MAX_TURN, MAX_WIDTH, MAX_WIDTH_RATE
 from gateway.sections import Name
 from gateway.types import Mode, Region
 from replay.drive.commanders import SENDER
@@ -34,7 +34,8 @@ class _Section(BaseModel):
 class Command(_Section):
     """A twist that a source streams until it is told something else; `stamped`: with the time of sending.
 
-    `sender`: which process sends as this source; `region`: the way round that it asks for.
+    `sender`: which process sends as this source; `region`: the way round that it asks for; `width_rate` or `width`: of
+    a robot whose wheels go apart.
     """
 
     source: Name
@@ -45,6 +46,14 @@ class Command(_Section):
     stamped: bool = False
     sender: Name = SENDER
     region: Region = Region.ANY
+    width_rate: Annotated[float, Field(ge=-MAX_WIDTH_RATE, le=MAX_WIDTH_RATE, description="m/s")] | None = None
+    width: Annotated[float, Field(ge=0.0, le=MAX_WIDTH, description="m")] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if self.width is not None and self.width_rate is not None:
+            raise ValueError(f"width = {self.width:g}: give either width or width_rate")
+        return self
 
 
 class Fault(_Section):

@@ -119,7 +119,7 @@ def test_every_source_is_told_its_reason_in_order_of_priority() -> None:
 
 # what not every chassis can do
 
-EVERYTHING = Features(width=True, regions=frozenset(Region))
+EVERYTHING = Features(width=True, widths=(0.25, 0.6), regions=frozenset(Region))
 
 
 @pytest.mark.parametrize(
@@ -127,6 +127,8 @@ EVERYTHING = Features(width=True, regions=frozenset(Region))
     [
         ({"width_rate": 0.1}, "width_rate = 0.1: must be left out: the width of this chassis is fixed"),
         ({"width_rate": 0.0}, "width_rate = 0: must be left out: the width of this chassis is fixed"),
+        ({"width": 0.25}, "width = 0.25: must be left out: the width of this chassis is fixed, or not known"),
+        ({"width": 0.6}, "width = 0.6: must be left out: the width of this chassis is fixed, or not known"),
         ({"region": Region.PUSH}, "region = 'push': must be 'any' on this chassis"),
         ({"region": Region.PULL}, "region = 'pull': must be 'any' on this chassis"),
         ({"path_rate": 1.0}, None),
@@ -153,6 +155,12 @@ def test_what_some_regions_are_for_is_said_in_words() -> None:
     assert refused == "region = 'pull': must be 'any' or 'push' on this chassis"
 
 
+@pytest.mark.parametrize("width", [0.249, 0.601, 0.0])
+def test_a_width_beyond_the_range_is_refused_with_the_range(width: float) -> None:
+    refused = EVERYTHING.objection(command(0)._replace(width=width))
+    assert refused == f"width = {width:g}: must be from 0.25 to 0.6 m on this robot"
+
+
 def test_a_refused_command_ages_the_one_before() -> None:
     one = arbiter()
     one.receive(command(0))
@@ -170,3 +178,10 @@ def test_a_changing_width_is_motion_and_no_zero() -> None:
     able.receive(command(1)._replace(width_rate=0.0))
     assert winner(able, 1) == "low"
     assert able.moving(1) is None
+
+
+def test_a_width_to_go_to_is_motion_and_no_zero_wherever_the_wheels_are() -> None:
+    able = Arbiter([Source(name="low", priority=1, timeout=0.1)], EVERYTHING)
+    able.receive(command(0)._replace(width=0.4))
+    assert winner(able, 0) is None
+    assert able.moving(0) is not None

@@ -48,6 +48,15 @@ class Balance:
     def set(self, name: str, value: float) -> str | None:
         return name
 
+    @property
+    def unready(self) -> str | None:
+        """Nothing."""
+        return None
+
+    def width_rate(self, width: float) -> float:
+        """It knows no width."""
+        return 0.0
+
     def aim(self, target: Rates, measured: Measured, *, region: Region, path_rate: float | None, whole: bool) -> Rates:
         return target
 

@@ -105,6 +105,10 @@ def test_what_only_some_chassis_can_do() -> None:
     sent = messages.encode_twist(Twist(1.0, 0.0, 0.0), width_rate=-0.5, path_rate=2, region=Region.PULL)
     expected = TwistCommand("teleop", Twist(1.0, 0.0, 0.0), TwistFrame.BODY, None, 5)
     assert _parse(sent) == expected._replace(width_rate=-0.5, path_rate=2.0, region=Region.PULL)
+    sent = messages.encode_twist(Twist(1.0, 0.0, 0.0), width=0.4)
+    assert _parse(sent) == expected._replace(width=0.4)
+    with pytest.raises(ValueError, match=r"width = 0.4: must be .* the only one of width and width_rate"):
+        messages.encode_twist(Twist(1.0, 0.0, 0.0), width=0.4, width_rate=0.0)
     with pytest.raises(ValueError, match=r"width_rate = 6.0: must be a number from -5 to 5 m/s"):
         messages.encode_twist(Twist(1.0, 0.0, 0.0), width_rate=6)
 
@@ -133,6 +137,11 @@ def test_the_ranges_include_their_ends(edge: float) -> None:
         (b'{"vx":0,"vy":0,"wz":0,"frame":null}', "WRONG_FRAME", "frame = None: must be 'body' or 'odom'"),
         (b'{"vx":0,"vy":0,"wz":0,"frame":"\\ud800"}', "WRONG_FRAME", "frame = '\\ud800': must be 'body' or 'odom'"),
         (b'{"vx":0,"vy":0,"wz":0,"path_rate":51}', "OUT_OF_RANGE", "path_rate = 51: must be a number from -50 to 50"),
+        (b'{"vx":0,"vy":0,"wz":0,"width":-0.1}', "OUT_OF_RANGE", "width = -0.1: must be a number from 0 to 10 m"),
+        (
+            b'{"vx":0,"vy":0,"wz":0,"width":0.4,"width_rate":0.1}',
+            *("MALFORMED", "width = 0.4: must be a number from 0 to 10 m, and the only one of width and width_rate"),
+        ),
         (b'{"vx":0,"vy":0,"wz":0,"width_rate":NaN}', "NOT_FINITE", "width_rate = nan: must be a number from -5 to 5"),
         (b'{"vx":0,"vy":0,"wz":0,"region":"up"}', "MALFORMED", "region = 'up': must be 'any', 'push' or 'pull'"),
         (b'{"vx":"1","vy":0,"wz":0}', "MALFORMED", "vx = '1': must be a number from -20 to 20 m/s"),

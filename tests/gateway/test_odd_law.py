@@ -24,9 +24,15 @@ from tests.world import robot_text
 
 VELOCITY = (2.0, 1.5, 4.0, 0.2)
 TOP = 20.0  # rad/s
+TOP_RATE = 1.0  # m/s
 STILL = (0.0,) * 4
 ROLLERS = "[0.7853981633974483, -0.7853981633974483, 0.7853981633974483, -0.7853981633974483]"
 FORWARD = Twist(0.3, 0.0, 0.0)
+
+
+def unsensed(text: str) -> str:
+    assert text.count("width_sensor = 0") == 1
+    return text.replace("width_sensor = 0", "# width_sensor = 0")
 
 
 def law(yields: Yields = Yields.ALL, *, width: float = 0.4, place: int | None = None) -> OddLaw:
@@ -34,7 +40,16 @@ def law(yields: Yields = Yields.ALL, *, width: float = 0.4, place: int | None = 
     geometry = OddGeometry((pi / 4, -pi / 4, pi / 4, -pi / 4), radius=0.05, spacing=0.1, narrowest=0.2, widest=0.6)
     kinematics = OddKinematics(geometry, start=width)
     wheels = SpeedLaw(kinematics, top_speeds=(TOP,) * 4, velocity=VELOCITY, period=0.004)
-    return OddLaw(kinematics, wheels=wheels, top_speeds=(TOP,) * 4, acceleration=0.4, yields=yields, place=place)
+    return OddLaw(
+        kinematics,
+        wheels=wheels,
+        top_speeds=(TOP,) * 4,
+        top_rate=TOP_RATE,
+        acceleration=0.4,
+        lateness=0.125,
+        yields=yields,
+        place=place,
+    )
 
 
 def measured(width_rate: float | None = 0.0, *ranges: float | None) -> Measured:
@@ -118,18 +133,21 @@ def test_saturation_scales_all_four_wheels_together(setpoint: Rates) -> None:
     assert max(abs(command.value) for command in motion.commands) <= TOP * (1.0 + 1e-12)
 
 
-# where the width is known from
+# where the width is known from, without a sensor; with one: test_odd_width.py
 
 
 def widths(one: OddLaw, *cycles: Measured) -> Iterator[float]:
     for cycle in cycles:
-        (width,) = one.motion((0.0,) * 4, cycle, braking=False).numbers
+        width, _ = one.motion((0.0,) * 4, cycle, braking=False).numbers
         assert width is not None
         yield width
 
 
 def test_it_is_what_the_wheels_add_up_to() -> None:
-    assert list(widths(law(), measured(0.5), measured(-0.25), measured(None))) == pytest.approx([0.402, 0.401, 0.401])
+    one = law()
+    assert list(widths(one, measured(0.5), measured(-0.25), measured(None))) == pytest.approx([0.402, 0.401, 0.401])
+    assert one.facts == {"width": pytest.approx(0.401), "width_by": "robot file and wheels", "width_doubt": 0.0}
+    assert one.unready is None
 
 
 def test_it_stays_within_its_stops() -> None:
@@ -137,15 +155,28 @@ def test_it_stays_within_its_stops() -> None:
     assert list(widths(law(width=0.2), measured(-1.0))) == [0.2]
 
 
-def test_a_sensor_draws_it_and_one_that_is_far_off_does_not() -> None:
-    one = law(place=1)
-    assert list(widths(one, measured(0.0, 9.0, 0.44))) == pytest.approx([0.402])
-    assert one.facts == {"width": pytest.approx(0.402), "width_sensed": True}
-    assert list(widths(one, measured(0.0, 0.4, 0.5), measured(0.0, 0.4, None), measured(0.0))) == [0.402] * 3
-    assert one.facts["width_sensed"] is False
-    for _ in range(200):
-        one.stop(measured(0.0, 9.0, 0.44))
-    assert one.facts["width"] == pytest.approx(0.44, abs=1e-4)
+# a width that is asked for
+
+
+@pytest.mark.parametrize(
+    ("width", "wanted", "rate"),
+    [
+        (0.4, 0.4, 0.0),
+        (0.4, 0.41, 0.02),  # 2 / s
+        (0.4, 0.39, -0.02),
+        (0.4, 0.6, 0.2828427124746190),  # sqrt(2 x 0.2 x 0.2), as towards an end
+        (0.6, 0.2, -0.4),
+    ],
+)
+def test_the_rate_at_which_a_width_is_gone_to(width: float, wanted: float, rate: float) -> None:
+    assert law(width=width).width_rate(wanted) == pytest.approx(rate, abs=1e-9)
+
+
+def test_what_is_asked_for_is_a_channel_of_that_cycle() -> None:
+    one = law()
+    one.width_rate(0.5)
+    assert one.motion(STILL, measured(), braking=False).numbers == (0.4, 0.5)
+    assert one.motion(STILL, measured(), braking=False).numbers == (0.4, None)
 
 
 # the robot file
@@ -175,7 +206,7 @@ def test_what_cannot_be_is_refused_in_words(old: str, new: str, words: str) -> N
 @pytest.mark.pure_python
 def test_a_width_that_is_driven_ends_at_its_range_without_a_step() -> None:
     """0.2 m/s from 0.4 to 0.6 m: slower from 0.1 m before, and never beyond; the motion goes on."""
-    stand, layout = Stand("odd"), layout_of(parse(robot_text("odd"), "odd"))
+    stand, layout = Stand("odd", unsensed), layout_of(parse(robot_text("odd"), "odd"))
     stand.cycle(ZERO_TWIST)
     stand.cycle(ZERO_TWIST)
     assert stand.is_in(Mode.DRIVE)

@@ -27,6 +27,7 @@ class FakeClient:
     age: float = 0.1
     alive: bool = True
     sent: list[Twist] = field(default_factory=list)
+    widths: set[tuple[float | None, float | None]] = field(default_factory=set)
 
     def state(self) -> StateMessage | None:
         return self.states[min(len(self.sent), len(self.states) - 1)] if self.states else None
@@ -34,8 +35,18 @@ class FakeClient:
     def state_age(self) -> float:
         return self.age
 
-    def send_twist(self, vx: float, vy: float, wz: float, *, source: str) -> None:
+    def send_twist(
+        self,
+        vx: float,
+        vy: float,
+        wz: float,
+        *,
+        source: str,
+        width_rate: float | None = None,
+        width: float | None = None,
+    ) -> None:
         assert source
+        self.widths.add((width_rate, width))
         self.sent.append(Twist(vx, vy, wz))
 
 

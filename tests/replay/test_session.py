@@ -139,6 +139,7 @@ inputs = st.builds(
             st.none() | numbers,
             st.none() | numbers,
             st.sampled_from(Region),
+            st.none() | numbers,
         ),
         max_size=2,
     ).map(tuple),
