@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from gateway.chassis.odd import OddRobot
 from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
+from replay.sim.plants import odd_dynamics
+from replay.sim.plants.contract import Plant
 from replay.sim.plants.rigid_body import GRAVITY
 
 Array = NDArray[np.float64]
@@ -33,9 +35,9 @@ _MAX_ROUNDS = 60
 _CHANGE = (-0.5, -0.5, 0.5, 0.5)  # of a row's wz per metre of width
 
 
-def plant(robot: OddRobot) -> "OddPlant":
-    """Of this robot."""
-    return OddPlant(robot)
+def plant(robot: OddRobot) -> Plant:
+    """Of this robot; one that balances leans, which is nothing simple: it gets its dynamics."""
+    return OddPlant(robot) if robot.balance is None else odd_dynamics.plant(robot)
 
 
 class OddPlant:
