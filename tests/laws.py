@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.control.limits import stopping_time
-from gateway.types import ZERO_TWIST, BusEventKind, Inputs, Mode, Region, TwistCommand
+from gateway.types import ZERO_TWIST, BusEventKind, Inputs, Mode, Region, RequestKind, TwistCommand
 from replay.drive.moment import Moment
 
 DRIVING = frozenset({Mode.DRIVE, Mode.DEGRADED})
@@ -25,6 +25,9 @@ STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
 NOTICE_NS = 200_000_000  # from the plan of a manoeuvre to its first motion
 FOLLOWING_S = 0.25  # by which real wheels may be later than their setpoints
+SWAYING = 0.15  # m/s and rad/s of the true body of a robot that balances that still count as rest
+SETTLING_S = 2.5  # in which it comes to that behind its setpoint
+HELD_NS = 10_000_000_000  # for which somebody holds a robot that was asked to stand up
 
 Drive = Sequence[Moment]
 Law = Callable[[Drive, RobotConfig], Iterator[str]]
@@ -58,7 +61,7 @@ def what_is_let_go_stays_so(drive: Drive, config: RobotConfig) -> Iterator[str]:
         reach.receive(now.inputs)
         if now.outputs.mode is Mode.IDLE:
             continue
-        stopped = now.outputs.mode is Mode.ESTOP
+        stopped = now.outputs.mode is Mode.ESTOP and not _balances(config)  # which stays upright in it
         for index in reach.silent(now):
             let_go.setdefault(index, f"{_when(now)}: silent")
         for index, setpoint in enumerate(now.outputs.trace.wheel_setpoints):
@@ -98,7 +101,10 @@ def no_steps(drive: Drive, config: RobotConfig) -> Iterator[str]:
     In a period of 4 ms a fall back to the measured motion takes 2 %, a joint that turns under a fast robot at its own
     top speed 2.8 % (moby: 7 rad/s), the acceleration limits below 0.5 %.
     A motor that was not heard in the cycle before was told nothing: it may go on from nearer to how it turns.
+    Not of a robot that balances: it catches itself.
     """
+    if _balances(config):
+        return
     names = config.robot.motor_names()
     for before, now in pairs(drive):
         periods = (now.inputs.now_ns - before.inputs.now_ns) * 1e-9 * config.loop.rate
@@ -151,6 +157,30 @@ def manoeuvres_only_as_asked(drive: Drive, config: RobotConfig) -> Iterator[str]
             yield f"{_when(now)}: moves {(now.inputs.now_ns - planned_ns) * 1e-9} s after it was planned"
 
 
+def stands_only_as_asked(drive: Drive, config: RobotConfig) -> Iterator[str]:
+    """A robot that balances is given nothing before somebody asks it to stand up, nor after it was let go or fell.
+
+    Whoever asks holds it for HELD_NS; if nothing was begun by then it has to be asked again.
+    """
+    if not _balances(config):
+        return
+    asked_ns, stands, fell = -HELD_NS, False, False
+    for now in drive:
+        if now.inputs.cycle == 0:
+            asked_ns, stands, fell = -HELD_NS, False, False
+        if any(request.kind is RequestKind.STAND_UP for request in now.inputs.requests):
+            asked_ns = now.inputs.now_ns
+        driven = any(setpoint is not None for setpoint in now.outputs.trace.wheel_setpoints)
+        fell = fell and now.outputs.mode is not Mode.STARTING  # which it has to be asked for
+        if driven and fell:
+            yield f"{_when(now)}: driven after a fall"
+        if driven and not stands and now.inputs.now_ns - asked_ns > HELD_NS:
+            yield f"{_when(now)}: driven, and nobody has asked it to stand up"
+        fell = fell or any(event.code == "fault_fallen" for event in now.outputs.events)
+        asked_ns = -HELD_NS if driven and not stands else asked_ns
+        stands = driven
+
+
 def released_in_idle(drive: Drive, config: RobotConfig) -> Iterator[str]:
     """In IDLE no motor is given anything but its release."""
     names = config.robot.motor_names()
@@ -174,12 +204,15 @@ def rests_in_time(drive: Drive, config: RobotConfig) -> Iterator[str]:
     last = max((now.t for now in drive if now.inputs.commands), default=0.0)
     longest = max(source.timeout for source in config.commands.source)
     due = last + longest + time_to_stop + DWELL_S + FOLLOWING_S
+    resting, standing = RESTING, STANDING
+    if _balances(config):  # upright until somebody lets it down
+        due, resting, standing = due + SETTLING_S, RESTING | {Mode.STOPPING}, SWAYING
     for now in drive:
         if now.t < due:
             continue
-        if now.outputs.mode not in RESTING:
+        if now.outputs.mode not in resting:
             yield f"{_when(now)}: last command at {last:.3f} s, due to rest at {due:.3f} s"
-        elif max(map(abs, now.truth.twist)) > STANDING:
+        elif max(map(abs, now.truth.twist)) > standing:
             yield f"{_when(now)}: due to rest at {due:.3f} s, moves at {tuple(now.truth.twist)}"
 
 
@@ -189,6 +222,7 @@ LAWS: dict[str, Law] = {
     "nothing moves without a zero of its own": nothing_moves_without_a_zero,
     "no steps but into an emergency stop": no_steps,
     "everything is released in IDLE": released_in_idle,
+    "stands up only as it was asked to": stands_only_as_asked,
     "turns its chassis round only as it was asked to": manoeuvres_only_as_asked,
 }
 REST = "rests within the computed time"  # of drives that leave the motors able to brake
@@ -292,6 +326,10 @@ def _setpoint(now: Moment) -> tuple[float, ...]:
 def _is_zero(command: TwistCommand) -> bool:
     """It asks for nothing, also not of the width: a width to go to is motion wherever the wheels are."""
     return command.twist == ZERO_TWIST and not command.width_rate and command.width is None
+
+
+def _balances(config: RobotConfig) -> bool:
+    return getattr(config.robot, "balance", None) is not None
 
 
 def _when(now: Moment) -> str:

@@ -75,7 +75,7 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
     """The script: it begins well, so that most drives do drive."""
     chance = Random(seed)
     lively = SECONDS - SILENCE_S if can_brake else SECONDS
-    entries = [_command(chance, config, 0.0, still=True)]
+    entries = [*_upright(config, ANSWERS_S), _command(chance, config, 0.0, still=True)]
     trouble = chance.choice([0.7, 2.0, 4.0])
     t = ANSWERS_S + 0.5
     while t < lively:
@@ -98,7 +98,12 @@ def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float,
         sources = config.commands.source if chance.random() < 0.8 else [chance.choice(config.commands.source)]
         zeros = [_command(chance, config, t, still=True, source=source.name) for source in sources]
         reset: list[Entry] = [{"t": t, "request": "reset"}] if chance.random() < 0.8 else []
-        return [*reset, *zeros, _command(chance, config, t + chance.uniform(0.1, 0.5), still=False)]
+        return [
+            *reset,
+            *_upright(config, t),
+            *zeros,
+            _command(chance, config, t + chance.uniform(0.1, 0.5), still=False),
+        ]
     if kind == "silence":
         return [{"t": t, "silence": chance.choice(config.commands.source).name}]
     if kind == "hush":
@@ -107,8 +112,14 @@ def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float,
         return [*silences, again] if can_brake else [*silences, *_loss_while_braking(chance, t), again]
     if kind == "request":
         words = ["estop", "reset", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
+        words += ["stand_up", "let_down", "let_down"] if _upright(config, t) else []
         return [{"t": t, "request": chance.choice(words)}]
     return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config)}]
+
+
+def _upright(config: RobotConfig, t: float) -> list[Entry]:
+    """Somebody holds a robot that balances, and asks it to stand up."""
+    return [{"t": t, "request": "stand_up"}] if getattr(config.robot, "balance", None) is not None else []
 
 
 def _loss_while_braking(chance: Random, t: float) -> list[Entry]:

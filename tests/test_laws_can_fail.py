@@ -10,9 +10,10 @@ import pytest
 
 from drivers.contract import MotorFeedback
 from gateway.config import parse
-from gateway.control import region_policy
+from gateway.control import posture, region_policy
 from gateway.control.drive_law import Motion, SpeedLaw
 from gateway.control.limits import TwistLimiter
+from gateway.control.posture import Posture, Stance
 from gateway.control.region_policy import RegionPolicy
 from gateway.core import engine, health, supervisor
 from gateway.core.arbiter import Arbiter
@@ -20,14 +21,14 @@ from gateway.core.engine import Engine
 from gateway.core.health import Fault, HealthMonitor
 from gateway.core.joint_trust import JointTrust
 from gateway.core.standstill import Standstill
-from gateway.types import ZERO_TWIST, Mode, Rates, Region, Twist, TwistCommand
+from gateway.types import ZERO_TWIST, Attitude, Mode, Rates, Region, Twist, TwistCommand
 from replay.drive.scenario_file import Scenario
 from tests.laws import ALL_LAWS
 from tests.random_drives import Driven, judge
 from tests.world import robot_text
 
 pytestmark = pytest.mark.pure_python
-GROWS, LET_GO, ZERO, STEPS, IDLE, ROUND, REST = ALL_LAWS
+GROWS, LET_GO, ZERO, STEPS, IDLE, UP, ROUND, REST = ALL_LAWS
 Patch = pytest.MonkeyPatch
 Entry = dict[str, Any]
 
@@ -235,6 +236,34 @@ def never_rested(patch: Patch) -> None:
     patch.setattr(Standstill, "rested", lambda self, now_ns: False)
 
 
+# stands up only as it was asked to
+
+
+def stand_up_for_anybody(patch: Patch) -> None:
+    """Whoever commands a zero is taken to hold it."""
+    patch.setattr(Posture, "objection", lambda self: None)
+
+
+def be_ready_for_ever(patch: Patch) -> None:
+    """Whoever asked once is taken to hold it still."""
+    patch.setattr(posture, "READY_NS", 10**18)
+
+
+def get_up_from_a_fall(patch: Patch) -> None:
+    """What has fallen goes on as soon as it is known again how it leans. Two rules each prevent that: it is let go,
+    and it is down.
+    """
+    patch.setattr(Engine, "_let_go", lambda self: None)
+    look = Posture.look
+
+    def look_again(self: Posture, attitude: Attitude | None, now_ns: int) -> None:
+        look(self, attitude, now_ns)
+        if self.fallen is not None:
+            self.stance = Stance.UP
+
+    patch.setattr(Posture, "look", look_again)
+
+
 class Removed(NamedTuple):
     """A rule taken out, and the drive in which the law notices."""
 
@@ -291,6 +320,15 @@ RESET_AT_ONCE = [
 TURNED_ROUND = [say(0.0), say(0.6, -0.5, region="push")]
 TAKEN_BACK = [say(0.0), say(0.6, -0.5, region="push"), say(1.5, -0.5)]
 
+NOT_ASKED = [say(0.0), say(0.8, 0.3)]
+ASKED_LONG_AGO = [ask(0.5, "stand_up"), say(11.0), say(11.8, 0.3)]
+HIT_HARD = [
+    ask(0.5, "stand_up"),
+    say(0.0),
+    say(1.0, 0.3),
+    fault(1.6, "push", value=300.0, seconds=0.5),
+]
+
 ROWS = (
     Removed(GROWS, brake_along_the_line, "omni4", 2.6, BACK_AND_FORTH),
     Removed(LET_GO, lose_nothing, "omni4", 2.8, A_MOTOR_OFF),
@@ -306,6 +344,9 @@ ROWS = (
     Removed(STEPS, see_again_at_once, "moby", 2.2, SWINGING),
     Removed(STEPS, fall_back_in_one_step, "omni4", 3.7, HIT_WHILE_BRAKING),
     Removed(IDLE, keep_energised_in_idle, "omni4", 2.6, RESET_AT_ONCE),
+    Removed(UP, stand_up_for_anybody, "odd_balancing", 1.5, NOT_ASKED),
+    Removed(UP, be_ready_for_ever, "odd_balancing", 12.5, ASKED_LONG_AGO),
+    Removed(UP, get_up_from_a_fall, "odd_balancing", 3.0, HIT_HARD),
     Removed(ROUND, go_on_whoever_asks, "moby", 2.5, TAKEN_BACK, edit=with_manoeuvre),
     Removed(ROUND, begin_at_once, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),
     Removed(ROUND, turn_the_platform_too, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),

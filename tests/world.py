@@ -24,7 +24,7 @@ from replay.sim.bus import SimulatedBus
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
 NAMES = ("moby", "omni4")  # one of each kind
-BUNDLED = (*NAMES, "omni4_gm6020", "omni4_vesc", "mecanum4", "odd")  # where the controllers matter too
+BUNDLED = (*NAMES, "omni4_gm6020", "omni4_vesc", "mecanum4", "odd", "odd_balancing")  # where the controllers matter too
 Record = Cycle
 
 
@@ -126,6 +126,8 @@ class World:
     def start(self) -> None:
         """Motors answer, a zero command arrives, the robot is ready to drive."""
         self.run(0.3)
+        if getattr(self.config.robot, "balance", None) is not None:
+            self.request(RequestKind.STAND_UP)
         self.run(3.0, ZERO_TWIST, until=lambda outputs: outputs.mode is Mode.DRIVE)
         assert self.is_in(Mode.DRIVE)
 

@@ -248,9 +248,17 @@ class Engine:
 
     def _look_at(self, posture: Posture, measured: Measured) -> None:
         """How it leans; a fall is over when what has fallen lies still."""
+        stood = posture.stands
         posture.look(measured.attitude, measured.now_ns)
-        if posture.fallen is not None and self._rested(measured.now_ns):
+        if posture.fallen is not None and stood:
+            self._let_go()
+        elif posture.fallen is not None and self._rested(measured.now_ns):
             posture.lies()
+
+    def _let_go(self) -> None:
+        """Every motor is released, whatever is measured."""
+        self._energised = False
+        self._health.expect_nothing()
 
     def _elapsed(self, now_ns: int) -> float:
         last_ns, self._last_ns = self._last_ns, now_ns
@@ -562,6 +570,7 @@ class Engine:
             self._health.forgive()
         elif mode is _ESTOP and self._stop_category == RELEASED and self._posture is not None:
             self._posture.rest()
+            self._let_go()
         elif mode is _STARTING:
             self._energised = True
             if self._posture is not None:
@@ -704,12 +713,11 @@ class Engine:
         """At rest the motors are released, unless stop category, slope or chassis ask for more; rolling is braked."""
         if self._mode in HOLDING:
             return
-        if self._mode is _ESTOP and not self._energised and self._standstill.rolls(now_ns):
+        if self._mode is _ESTOP and not self._energised and self._posture is None and self._standstill.rolls(now_ns):
             self._energised = self._rolled = True
         held = self._mode is _ESTOP and (self._stop_category == HELD or self._rolled) and not self._shutdown
         if self._energised and not held and self._rested(now_ns):
-            self._energised = False
-            self._health.expect_nothing()
+            self._let_go()
 
     def _trace_of_more(self, more: Rates, measured: Measured) -> tuple[AxisTrace, ...]:
         size = len(PLANAR)

@@ -54,7 +54,9 @@ class Subject(NamedTuple):
 
 
 def subjects() -> dict[str, Subject]:
+    """Every robot that stands by itself; one that falls is another matter (test_odd_dynamics)."""
     robots = {path.stem: load(path)[0].robot for path in sorted(ROBOTS.glob("*.toml"))}
+    del robots["odd_balancing"]
     return {
         f"{name}-{plant.value}": Subject(robot, make)
         for name, robot in robots.items()
