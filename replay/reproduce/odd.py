@@ -293,6 +293,8 @@ def figure_11(stage: Stage) -> Found:
         "Walls and course are ours: a channel 0.46 m wide, where the robot is 0.54 m at the start and 0.42 m in it, "
         "and a gap of 0.44 m that it goes through sideways, 0.34 m long with its casters. It is led by speeds and "
         "times alone, nothing corrects its place. The floor is that of figure 9.",
+        "Most of how far the end is off comes where the width meets its limit of acceleration while x brakes: the "
+        "setpoint keeps its direction in all four axes, and x brakes later. With the width still it is 1 mm along x.",
         "The paper shows pictures of a video and prints no size.",
     )
     return Found(tuple(rows), Picture("Figure 11: passages", (panels,)), notes, sessions)
