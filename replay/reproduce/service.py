@@ -1,7 +1,8 @@
 """A drive through the real service path in virtual time: command, engine, CAN, simulated controller, plant; recorded.
 
-The commands of an experiment are velocities over the floor, streamed once a cycle as a client would, zero first. Time
-counts from the first of them that is not the zero which starts the robot.
+The commands of an experiment are velocities, over the floor unless they say otherwise, streamed once a cycle as a
+client would, as the first source of the robot file and zero first. Time counts from the first of them that is not the
+zero which starts the robot.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,18 +19,23 @@ from replay.reproduce.robot import ORIGIN, Setup, plant_of, robot_file
 from replay.sim.plants.contract import PlantName
 from replay.sim.plants.offset_caster import OffsetCaster
 
-SOURCE = "experiment"
+_SENDER = "experiment"
 _PATIENCE = 8.0  # s, for the robot to start
 
 
 class Order(NamedTuple):
-    """What is sent in a cycle: m/s over the floor, rad/s of the path if it is told, settings to be changed, rad/s."""
+    """What is sent in a cycle: m/s, rad/s of the path if it is told, settings to be changed, rad/s.
+
+    `width_rate`: m/s by which wheels go apart, of a robot whose wheels do.
+    """
 
     vx: float
     vy: float
     path_rate: float | None = None
     settings: Mapping[str, float] = {}
     wz: float = 0.0
+    frame: TwistFrame = TwistFrame.ODOM
+    width_rate: float | None = None
 
 
 Wanted = Callable[[float, Pose], Order]  # at a time, s, where the odometry tells the robot to be
@@ -126,6 +132,7 @@ class _Drive:
         self._loop = loop
         self._recording = recording
         self._swivel = swivel
+        self._source = loop.config.commands.source[0].name
         self._asked = 0  # the id of the last request
         self._pose = Pose(0.0, 0.0, 0.0)
 
@@ -150,7 +157,16 @@ class _Drive:
     def _cycle(self, order: Order) -> Outputs:
         now_ns = self._loop.next_ns
         twist = Twist(order.vx, order.vy, order.wz)
-        command = TwistCommand(SOURCE, twist, TwistFrame.ODOM, None, now_ns, SOURCE, path_rate=order.path_rate)
+        command = TwistCommand(
+            self._source,
+            twist,
+            order.frame,
+            None,
+            now_ns,
+            _SENDER,
+            width_rate=order.width_rate,
+            path_rate=order.path_rate,
+        )
         inputs, outputs = self._loop.cycle(commands=[command], requests=self._requests(order.settings, now_ns))
         self._recording.put(inputs, outputs, self._loop.engine.snapshot)
         self.events += outputs.events
@@ -168,6 +184,8 @@ class _Drive:
     def _sample(self, t: float, outputs: Outputs) -> Sample:
         truth, told = self._loop.bus.robot.truth, outputs.trace.chassis
         vx, vy = _over_the_floor(truth.twist, truth.pose.theta)
+        swivel = self._swivel()
+        pulled = told if swivel is not None else None  # what the chassis tells of itself is of gamma there alone
         return Sample(
             t=t,
             x=truth.pose.x,
@@ -179,9 +197,9 @@ class _Drive:
             wz=truth.twist.wz,
             rates=truth.joint_rates,
             torques=truth.joint_torques,
-            swivel=self._swivel(),
-            error=told[2] if told else None,
-            correction=told[3] if told else None,
+            swivel=swivel,
+            error=pulled[2] if pulled else None,
+            correction=pulled[3] if pulled else None,
             mode=outputs.mode,
             limits=() if outputs.status is None else tuple(outputs.status.limits_active),
         )

@@ -87,7 +87,8 @@ section {{ margin-top: 3rem; }}
 <h1>The experiments of the papers, run again</h1>
 <p>preprints202312.1327, <cite>Driving Strategies for Omnidirectional Mobile Robots with Offset Differential
 Wheels</cite> (moby); Rojas, <cite>Omnidirectional Control</cite>, 2005 (rojas); Amarasiri, Barhorst and Gottumukkala,
-ASME Letters in Dynamic Systems and Control 2(4), 040902, 2022 (kane). <b>{summary}.</b> A dash under "paper": the paper
+ASME Letters in Dynamic Systems and Control 2(4), 040902, 2022 (kane); Zhao, Xie and Meng, <cite>ODD: Omni Differential
+Drive</cite>, arXiv 2412.10773 (odd). <b>{summary}.</b> A dash under "paper": the paper
 does not print it. "Service": through command, engine, CAN, simulated controllers and plant, recorded; all else is
 computed directly.</p>
 <ul>{contents}</ul>

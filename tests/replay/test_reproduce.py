@@ -22,6 +22,7 @@ from replay.sessions.reader import open_session
 NAMES = ["moby-fig5", "moby-fig7", "moby-fig8", "moby-fig9", "moby-fig11", "moby-fig13", "moby-fig14", "moby-fig15"]
 NAMES += ["rojas-fig4", "rojas-fig9", "rojas-fig10", "rojas-launch", "rojas-slip", "rojas-dead"]
 NAMES += ["kane-fig7", "kane-fig8", "kane-fig9", "kane-fig13", "kane-fig19", "kane-fig24", "kane-tracking"]
+NAMES += ["odd-fig8", "odd-fig9", "odd-fig10", "odd-fig11"]
 QUICK = ["moby-fig7", "rojas-fig4", "rojas-fig9", "rojas-fig10", "rojas-launch", "rojas-slip", "kane-fig7", "kane-fig8"]
 WALL_NS = 1_700_000_000_000_000_000
 RUNNER = CliRunner()

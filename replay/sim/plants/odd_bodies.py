@@ -55,6 +55,7 @@ class OddParameters(NamedTuple):
     joint_friction: float
     joint_drag: float
     caster_reach: float | None = None  # m along, from the axle to the balls before and behind; None: unknown
+    creep: float = 0.0  # share of its speed by which a wheel slips that pushes as hard as it is loaded
     slide_friction: float = 0.0  # N s/m
     slide_drag: float = 0.0  # N
     roller_drag: float = 0.0  # N per N of a wheel's load, across its rollers' axles

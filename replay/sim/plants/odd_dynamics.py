@@ -14,7 +14,8 @@ less than `REACHED`, somebody holds it as it is, unless it is not `attended`. A 
 and drags over the floor; its wheels turn as before, and take its reaction to the floor.
 
 Wheels on slippery ground (`set_friction`) have a speed of their own: the ground pushes them along their rollers' axles
-by what ends the substep without slip, or by mu times their load. Loads are those of a rigid robot whose wheels are in
+by what ends the substep without slip (or with their creep: as elastic wheels do, they slip in proportion to speed and
+push), or by mu times their load. Loads are those of a rigid robot whose wheels are in
 one line: weight and what the floor gives sideways at the height of the centre of mass, half of the way per substep. The
 balls of the casters, where their reach is known, take what tips the robot forward or back and so much of the weight.
 Rollers resist what their pair moves sideways.
@@ -77,14 +78,25 @@ class _Middle(NamedTuple):
     outer: Rates  # push and weight, and what lies on the floor resists
 
 
+class _Contact(NamedTuple):
+    """A wheel on slippery ground at the end of a substep."""
+
+    joint: int
+    row: Rates
+    reach: Rates  # what 1 N m of traction changes of the speeds, per s
+    limit: float  # N m that the ground gives at most
+    creep: float  # rad/s of slip per N m
+
+
 class _Next(NamedTuple):
-    """What a substep ends with. `mean`: speeds in it."""
+    """What a substep ends with. `mean`: speeds in it; `creeps`: slip that is creep."""
 
     width: float
     u: Rates
     mean: Rates
     spins: dict[int, float]
     traction: dict[int, float]
+    creeps: dict[int, float]
 
 
 class OddDynamics:
@@ -106,6 +118,7 @@ class OddDynamics:
         self._friction: dict[int, float] = {}
         self._spins: dict[int, float] = {}
         self._traction: dict[int, float] = {}
+        self._creeps: dict[int, float] = {}
         self._cosines = tuple([1.0 / sqrt(1.0 + tangent * tangent) for tangent in parameters.tangents])
         self._grips = [
             parameters.radius * cosine for cosine in self._cosines
@@ -163,9 +176,13 @@ class OddDynamics:
 
     @property
     def slipping(self) -> tuple[int, ...]:
-        """Joints whose wheels slip."""
-        rows = self._rows(self.width)
-        return tuple([j for j in sorted(self._spins) if abs(self._spins[j] - dot(rows[j], self._u)) > _NO_SLIP])
+        """Joints whose wheels slip, and do not only creep."""
+        rows, found = self._rows(self.width), []
+        for joint in sorted(self._spins):
+            slip = self._spins[joint] - dot(rows[joint], self._u) - self._creeps.get(joint, 0.0)
+            if abs(slip) > _NO_SLIP:
+                found.append(joint)
+        return tuple(found)
 
     def place(self, angles: Sequence[float]) -> None:
         """Where the joints stand before the first step."""
@@ -229,7 +246,7 @@ class OddDynamics:
         if self._friction or self._parameters.roller_drag:
             self._shift_loads(middle, after.u)
         self._move(middle, after)
-        self._u, self._spins, self._traction = after.u, after.spins, after.traction
+        self._u, self._spins, self._traction, self._creeps = after.u, after.spins, after.traction, after.creeps
         self._end(middle)
 
     # the equation of motion
@@ -295,11 +312,13 @@ class OddDynamics:
         p = self._parameters
         width = min(max(self.width + STEP_S * between[WIDTH], p.narrowest), p.widest)
         if not self._spins:
-            return _Next(width, after, between, {}, {})
+            return _Next(width, after, between, {}, {}, {})
         spins, traction, rows = self._spun(torques), dict(self._traction), self._rows(width)
-        contacts = [(joint, rows[joint], _times(middle.yielding, rows[joint])) for joint in spins]
+        contacts = [self._contact(joint, rows[joint], middle) for joint in spins]
         after = self._give_traction(after, contacts, spins, traction)
-        return _Next(width, after, [0.5 * (old + new) for old, new in zip(before, after, strict=True)], spins, traction)
+        mean = [0.5 * (old + new) for old, new in zip(before, after, strict=True)]
+        creeps = {contact.joint: contact.creep * traction[contact.joint] for contact in contacts}
+        return _Next(width, after, mean, spins, traction, creeps)
 
     def _acceleration(self, u: Sequence[float], middle: _Middle, torques: Sequence[float]) -> Rates:
         p, rows = self._parameters, middle.rows
@@ -376,25 +395,26 @@ class OddDynamics:
             spins[joint] = rate + STEP_S * (spare - slowing * rate) / (p.joint_inertia + _HALF * slowing)
         return spins
 
-    def _give_traction(
-        self,
-        u: Rates,
-        contacts: Sequence[tuple[int, Rates, Rates]],
-        spins: dict[int, float],
-        traction: dict[int, float],
-    ) -> Rates:
-        """Correct the traction wheel by wheel until nothing changes.
+    def _contact(self, joint: int, row: Rates, middle: _Middle) -> _Contact:
+        p, load, lever = self._parameters, self.loads[joint], self._grips[joint]
+        creep = 0.0
+        if p.creep and load > 0.0:
+            along = self._u[0] - self._u[2] * p.places(middle.width)[joint]
+            across = self._u[1] + _SIDES[joint] * self._u[WIDTH]
+            creep = p.creep * sqrt(along * along + across * across) / (load * lever * lever)
+        return _Contact(joint, row, _times(middle.yielding, row), self._friction[joint] * load * lever, creep)
 
-        `contacts`: joints, their rows at the end of the substep, and what 1 N m of their traction changes.
-        """
+    def _give_traction(
+        self, u: Rates, contacts: Sequence[_Contact], spins: dict[int, float], traction: dict[int, float]
+    ) -> Rates:
+        """Correct the traction wheel by wheel until nothing changes."""
         lightness = 1.0 / self._parameters.joint_inertia
         for _ in range(_MAX_ROUNDS):
             largest = 0.0
-            for joint, row, reach in contacts:
+            for joint, row, reach, limit, creep in contacts:
                 given = traction[joint]
-                limit = self._friction[joint] * self.loads[joint] * self._grips[joint]
-                slip = spins[joint] - dot(row, u)
-                wanted = given + slip / (STEP_S * (lightness + dot(row, reach)))
+                slip = spins[joint] - dot(row, u) - creep * given
+                wanted = given + slip / (STEP_S * (lightness + dot(row, reach)) + creep)
                 change = max(-limit, min(limit, wanted)) - given
                 traction[joint] = given + change
                 impulse = STEP_S * change
@@ -410,6 +430,7 @@ class OddDynamics:
         momentum, row = _times(self._matrix_now(), self._u), self._rows(self.width)[joint]
         spin = self._parameters.joint_inertia * self._spins.pop(joint)
         del self._traction[joint]
+        self._creeps.pop(joint, None)
         together = [one + spin * two for one, two in zip(momentum, row, strict=True)]
         self._u = _times(inverse(self._matrix_now(), self._held()), together)
 
