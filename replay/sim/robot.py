@@ -133,6 +133,7 @@ class SimulatedRobot:
             joint.device.start(shaft, now_ns)
         for sensor in self._sensing:
             sensor.start(self.scene, now_ns)
+        self._sense(now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Run every whole substep up to now."""
