@@ -317,6 +317,12 @@ class RobotConfig(Section):
         sources = [source.name for source in self.commands.source]
         problems += _duplicates("sensor.name", [*(sensor.name for sensor in self.sensor), *dict.fromkeys(sources)])
         problems += _second_of_a_kind(self.sensor)
+        place, ranges = getattr(self.robot, "width_sensor", None), _of_kind(self.sensor, SensorKind.RANGE)
+        if place is not None and place >= len(ranges):
+            known = ", ".join(ranges) or "none"
+            problems.append(
+                f"robot.width_sensor = {place}: no such [[sensor]] of kind 'range'; from 0 on there is {known}"
+            )
         problems += _mismatch("robot", self.robot.motor_names(), (motor.name for motor in self.motor))
         problems += _mismatch("limits.motor_speed", self.limits.motor_speed, (motor.name for motor in self.motor))
         if self.limits.motor_acceleration is not None:
@@ -406,6 +412,10 @@ def _duplicates(key: str, values: Iterable[object]) -> list[str]:
     seen: set[object] = set()
     doubled = {value for value in values if value in seen or seen.add(value)}  # type: ignore[func-returns-value]
     return [f"{key} = {value!r}: given twice, must be unique" for value in sorted(doubled, key=str)]
+
+
+def _of_kind(sensors: Iterable[Sensor], kind: SensorKind) -> list[str]:
+    return [sensor.name for sensor in sensors if sensor.kind is kind]
 
 
 def _second_of_a_kind(sensors: Iterable[Sensor]) -> list[str]:

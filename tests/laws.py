@@ -6,7 +6,7 @@ keeps it. A new process begins where the number of the cycle falls back; nothing
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from math import hypot
+from math import hypot, inf
 from typing import NamedTuple
 
 from gateway.config import RobotConfig
@@ -247,6 +247,7 @@ class _Zeros:
 
     def __init__(self, config: RobotConfig) -> None:
         self._timeouts_ns = {source.name: round(source.timeout * 1e9) for source in config.commands.source}
+        self._widths = getattr(config.robot, "narrowest", inf), getattr(config.robot, "widest", -inf)
         self._newest: dict[str, TwistCommand] = {}
         self._zeroed: set[str] = set()
         self._since_ns = -1
@@ -263,6 +264,8 @@ class _Zeros:
     def receive(self, inputs: Inputs) -> None:
         """The commands of a cycle. Another sender needs a zero too, and so does an unstamped one after its timeout."""
         for command in inputs.commands:
+            if command.width is not None and not self._widths[0] <= command.width <= self._widths[1]:
+                continue  # refused as a whole
             before = self._newest.get(command.source)
             self._newest[command.source] = command
             if before is not None and self._is_another(before, command):

@@ -1,7 +1,9 @@
 """A robot that balances, in virtual time on the plant of its dynamics; its IMU tells what the plant does."""
 
 from collections.abc import Callable
+from typing import Any
 
+from gateway.chassis.odd import OddRobot
 from gateway.config import parse
 from gateway.types import (
     ZERO_TWIST,
@@ -18,7 +20,7 @@ from gateway.types import (
     TwistFrame,
 )
 from replay.drive.closed_loop import ClosedLoop, Cycle
-from replay.sim.plants.odd_dynamics import OddDynamics, plant
+from replay.sim.plants.odd_dynamics import plant
 from tests.world import robot_text
 
 NAME = "odd_balancing"
@@ -30,10 +32,18 @@ class Upright:
     Else it has an IMU over Zenoh alone, without noise and delay, and `imu` is what that makes of the truth, or None.
     """
 
-    def __init__(self, *, edit: Callable[[str], str] = str, attended: bool = True, can: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        edit: Callable[[str], str] = str,
+        attended: bool = True,
+        can: bool = False,
+        moved_by: Callable[[OddRobot], Any] = plant,
+    ) -> None:
         text = edit(robot_text(NAME))
         config = parse(text if can else _over_zenoh(text), NAME)
-        self.plant: OddDynamics = plant(config.robot)  # type: ignore[arg-type]
+        assert isinstance(config.robot, OddRobot)
+        self.plant: Any = moved_by(config.robot)
         self.plant.attended = attended
         self.loop = ClosedLoop(config, plant=self.plant)
         self.records: list[Cycle] = []

@@ -1,7 +1,7 @@
 """What every chassis says of itself: one file here, its section of the robot file and all that follows from it."""
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw
@@ -35,6 +35,19 @@ class Drawing(NamedTuple):
     wheels: tuple[DrawnWheel, ...]
     frame: tuple[Point, ...] = ()
     beneath: int | None = None
+
+
+class Sideways(NamedTuple):
+    """How much more a metre sideways, or of an axis beyond the twist, errs than one forward: ratios of variances.
+
+    `position`: of where it is, `heading`: of how it is turned, as far as the wheels tell it.
+    """
+
+    position: float = 1.0
+    heading: float = 1.0
+
+
+ALIKE: Final = Sideways()
 
 
 class LoopLimit(NamedTuple):
@@ -96,6 +109,7 @@ class Chassis(Protocol):
 
     GEOMETRY: ClassVar[str]  # the keys of the geometry, in words
     AXES: ClassVar[tuple[str, ...]]  # of its kinematics; limits of the robot file name each of them
+    SIDEWAYS: ClassVar[Sideways]  # what its odometry knows of that
 
     @property
     def kind(self) -> str: ...

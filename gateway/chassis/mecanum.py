@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.chassis.contract import ALIKE, ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
@@ -31,6 +31,7 @@ class MecanumRobot(Section):
 
     GEOMETRY: ClassVar[str] = "each wheel's x, y, roller_angle and radius"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
+    SIDEWAYS: ClassVar[Sideways] = ALIKE
 
     kind: Literal["mecanum"]
     name: Name

@@ -8,7 +8,17 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Numbers, Trailing
+from gateway.chassis.contract import (
+    ALIKE,
+    ChassisChannels,
+    Drawing,
+    DrawnWheel,
+    LawParts,
+    LoopLimit,
+    Numbers,
+    Sideways,
+    Trailing,
+)
 from gateway.control.compensation import WHOLE_CIRCLE, Compensation, RegionAt, longest_period, region_refusal
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
@@ -95,6 +105,7 @@ class OffsetDifferentialRobot(Section):
 
     GEOMETRY: ClassVar[str] = "wheel_radius, axle_offset and track"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
+    SIDEWAYS: ClassVar[Sideways] = ALIKE
     saturation: ClassVar[Saturation] = Saturation.BOTH  # its wheels turn and drive it at once: nothing to choose
 
     kind: Literal["offset_differential"]

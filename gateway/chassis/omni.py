@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.chassis.contract import ALIKE, ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.grip import Grip, Push
@@ -72,6 +72,7 @@ class OmniRobot(Section):
 
     GEOMETRY: ClassVar[str] = "each wheel's x, y, axis_angle and radius"
     AXES: ClassVar[tuple[str, ...]] = PLANAR
+    SIDEWAYS: ClassVar[Sideways] = ALIKE
 
     kind: Literal["omni"]
     name: Name

@@ -42,6 +42,7 @@ def _document(report: Examination) -> dict[str, object]:
         "loop_limits": [limit._asdict() for limit in report.loop_limits],
         "grip": None if report.grip is None else report.grip._asdict(),
         "buses": [bus._asdict() for bus in report.buses],
+        "sensors": [sensor._asdict() for sensor in report.sensors],
         "effective_motors": None if report.effective_motors is None else _pushes_document(report.effective_motors),
     }
 
@@ -71,6 +72,8 @@ def _show(report: Examination) -> None:
         style = "yellow" if bus.load > LOAD_WARNING else "green"
         text = f"[{style}]{bus.load:.1%}[/] worst case at {report.rate_hz:g} Hz, {bus.frames_per_second:.0f} frames/s"
         table.add_row(f"load of {bus.bus}", text)
+    for sensor in report.sensors:
+        table.add_row(f"sensor {sensor.name}", f"{sensor.kind} by {sensor.by}")
     for limit in report.loop_limits:
         table.add_row(limit.name, f"stable at top speed: {limit.needed}")
     console.print(table)

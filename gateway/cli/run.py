@@ -11,11 +11,13 @@ from typing import Annotated
 import typer
 
 from gateway import robot_files
+from gateway.client import Client
 from gateway.config import RobotConfig, load
 from gateway.core.examination import examine
 from gateway.edges import log_queue, realtime
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.estop_latch import EstopFile, EstopLatch
+from gateway.edges.messages import QUANTITIES
 from gateway.edges.signals import EndRequest
 from gateway.edges.systemd import Notifier
 from gateway.edges.zenoh_link import ZenohLink
@@ -74,6 +76,9 @@ def run(
         link = stack.enter_context(ZenohLink(config, text))
         realtime.enter()  # now that every thread of the link exists
         after_cycle = _truth_teller(bus, link) if isinstance(bus, SimulatedBus) else None
+        if isinstance(bus, SimulatedBus) and after_cycle is not None and bus.robot.signals:
+            client = stack.enter_context(Client(config.robot.name, connect=config.zenoh.listen))
+            after_cycle = _sensing(bus.robot, config, client, after_cycle)
         service = Service(
             config,
             bus=bus,
@@ -118,3 +123,20 @@ def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> Callable[[int, Outputs]
             link.publish_truth(bus.robot.truth.pose, now_ns * 1e-9)
 
     return publish_truth
+
+
+def _sensing(
+    robot: SimulatedRobot, config: RobotConfig, client: Client, also: Callable[[int, Outputs], None]
+) -> Callable[[int, Outputs], None]:
+    """Publishes, with every odometry, what the sensors that come over Zenoh would; what there is not, none does."""
+    names = {sensor.name: QUANTITIES[sensor.kind] for sensor in config.sensor if sensor.bus is None}
+
+    def sense(now_ns: int, outputs: Outputs) -> None:
+        also(now_ns, outputs)
+        if outputs.odometry is not None:
+            for name, signal in robot.signals.items():
+                told = dict(zip(names[name], signal.tell(now_ns), strict=True))
+                if any(value is not None for value in told.values()):
+                    client.sense(name, **told)
+
+    return sense

@@ -125,7 +125,7 @@ class Engine:
         self._limp_watch = LimpWatch(self._velocity, config.degraded.speed)
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._torque_loss = _torque_loss_detector(robot, config)
-        self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds)
+        self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds, sideways=config.robot.SIDEWAYS)
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz, ports=robot.ports)
         self._settings = Settings(config.settings, robot.law)
@@ -305,7 +305,7 @@ class Engine:
         measurable = estimate is not None or None not in speeds
         moves = self._law.moves(measured, turning=self._motors.turning(measured))
         self._standstill.measure(turning=moves, measurable=measurable, now_ns=now_ns)
-        self._move(deltas, trusted, readings, residual=estimate.residual if estimate else None, slip=slip, dt=dt)
+        self._move(deltas, trusted, readings, estimate=estimate, slip=slip, dt=dt)
         return _measured(
             (
                 now_ns,
@@ -329,15 +329,28 @@ class Engine:
         angles: Sequence[float | None],
         readings: Readings,
         *,
-        residual: float | None,
+        estimate: Estimate | None,
         slip: Slip,
         dt: float,
     ) -> None:
         """The pose by the way of this cycle, with the turn of a gyro where there is one to be believed."""
+        residual, beside = None if estimate is None else estimate.residual, 0.0
+        if self._more and estimate is not None and any(deltas):
+            for rate in estimate.more:
+                beside += abs(rate) * dt
         angle, fresh, anew = readings.heading or (None, True, False)
         if anew:
             self._odometry.forget_heading()
-        self._odometry.update(deltas, angles, residual=residual, dt=dt, heading=angle, fresh=fresh, spread=slip.spread)
+        self._odometry.update(
+            deltas,
+            angles,
+            residual=residual,
+            dt=dt,
+            heading=angle,
+            fresh=fresh,
+            spread=slip.spread,
+            beside=beside,
+        )
 
     def _believed(
         self, speeds: Numbers, deltas: list[float | None], angles: Numbers

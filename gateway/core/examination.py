@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from drivers.contract import Traffic
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import LoopLimit
-from gateway.config import Bus, ConfigError, RobotConfig
+from gateway.config import Bus, ConfigError, RobotConfig, Sensor
 from gateway.control.launch import FRICTION
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
 from gateway.core.assembly import Robot, build, feedback_delay
@@ -36,6 +36,14 @@ class BusLoad(NamedTuple):
     bitrate: int
     load: float
     frames_per_second: float
+
+
+class Sensing(NamedTuple):
+    """One sensor, and how it is heard."""
+
+    name: str
+    kind: str
+    by: str
 
 
 class Push(NamedTuple):
@@ -92,6 +100,7 @@ class Examination(NamedTuple):
     turning_share: float  # of all top speeds at once that can be driven: the rest would turn too fast for its speed
     torque_share: float  # of its torque that the most strained motor gives at the acceleration limits, all axes at once
     buses: tuple[BusLoad, ...]
+    sensors: tuple[Sensing, ...]
     loop_limits: tuple[LoopLimit, ...]  # what is stable at top speed only with a loop that is fast enough
     effective_motors: Pushes | None  # None: they change with the angle of a joint
     warnings: tuple[str, ...]
@@ -180,6 +189,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         / sqrt(max(1.0, turning_excess(limit, config.limits.acceleration.as_rates(config.robot.AXES)))),
         torque_share=torque_share,
         buses=buses,
+        sensors=tuple(map(_sensing, config.sensor)),
         loop_limits=loop_limits,
         effective_motors=None if robot.kinematics.steered else _pushes(robot),
         warnings=tuple(
@@ -344,6 +354,13 @@ def _bus_load(config: RobotConfig, robot: Robot, bus: Bus) -> BusLoad:
     traffic = robot.traffic(bus.name, loop_rate_hz=config.loop.rate)
     load = fsum(item.rate_hz * frame_time(item, bus) for item in traffic)
     return BusLoad(bus.name, bus.bitrate, load, fsum(item.rate_hz for item in traffic))
+
+
+def _sensing(sensor: Sensor) -> Sensing:
+    if sensor.bus is None:
+        return Sensing(sensor.name, sensor.kind.value, "Zenoh")
+    by = f"{sensor.bus}, {sensor.driver} 0x{sensor.id:X}, {sensor.rate:g} Hz"
+    return Sensing(sensor.name, sensor.kind.value, by)
 
 
 def _warnings(

@@ -13,14 +13,16 @@ from typing import Final
 
 from drivers.records import maker
 from gateway.arithmetic import sin_cos
+from gateway.chassis.contract import ALIKE, Sideways
 from gateway.kinematics.contract import Kinematics
 from gateway.types import NO_DISPLACEMENT, Displacement, Odometry, Pose, Twist
 
 _pose: Final = maker(Pose)
 _displacement: Final = maker(Displacement)
-# Variance per metre and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard floor.
+# Variance per metre forward and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard
+# floor.
 # Source: chosen by us until a robot has been measured; stated in the README.
-_VARIANCE_PER_METRE: Final = 4e-4  # m^2/m, along and across
+_VARIANCE_PER_METRE: Final = 4e-4  # m^2/m
 _HEADING_VARIANCE_PER_RADIAN: Final = 4e-4  # rad^2/rad
 _HEADING_VARIANCE_PER_METRE: Final = 1e-4  # rad^2/m
 # A gyro's heading wanders with time and errs by its scale: 1 mrad after a second, 1 % of a turn of 1 rad.
@@ -57,10 +59,14 @@ def advance(pose: Pose, way: Displacement) -> Pose:
 
 
 class WheelOdometry:
-    """Integrates output positions (rad) of the driven joints; one writer, the engine."""
+    """Integrates output positions (rad) of the driven joints; one writer, the engine.
 
-    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float]) -> None:
+    `sideways`: how much more than forward the chassis errs that way.
+    """
+
+    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float], sideways: Sideways = ALIKE) -> None:
         self._kinematics = kinematics
+        self._sideways = sideways
         self._top_speeds = tuple(top_speeds)
         self._positions: list[float | None] = [None] * len(self._top_speeds)
         self._seen_ns: list[int] = [0] * len(self._top_speeds)  # cycles of the newest measurements
@@ -122,6 +128,7 @@ class WheelOdometry:
         heading: float | None = None,
         fresh: bool = True,
         spread: Spread | None = None,
+        beside: float = 0.0,
     ) -> None:
         """Move by the ways of this cycle. `angles`: those of untrusted steered joints are None; `residual`: m/s.
 
@@ -129,7 +136,9 @@ class WheelOdometry:
         sample before is the turn, in place of that of the wheels; the first one only tells where it counts from.
         `fresh`: it is of this cycle; what is not fresh says only that the gyro is not silent.
         `spread`: variances of the twist in the frame of the body, of wheels that slip; then the residual says nothing.
+        `beside`: m along axes beyond the twist, which errs as a way to the side does.
         """
+        self._beside(abs(beside), turns=heading is None)
         way = self._displacement(deltas, angles) if any(deltas) else None
         if spread is None:
             slip_variance = residual * residual * dt if residual else 0.0
@@ -197,12 +206,18 @@ class WheelOdometry:
         )
         return tt * _SLIP_LEVER * _SLIP_LEVER * dt
 
+    def _beside(self, way: float, *, turns: bool) -> None:
+        """What a way along other axes puts wrong; `turns`: also the heading, which is the wheels'."""
+        self._way += self._sideways.position * way
+        if turns:
+            self._turning_way += self._sideways.heading * way
+
     def _bridge(self, way: Displacement, slip_variance: float, dt: float) -> None:
         """Move as the wheels have it, until the gyro tells more."""
-        length = abs(way.x) + abs(way.y)
-        self._way += length
+        self._way += abs(way.x) + self._sideways.position * abs(way.y)
+        turning_way = abs(way.x) + self._sideways.heading * abs(way.y)
         self._bridged += way.turn
-        self._bridge_variance += _turning_variance(abs(way.turn), length, slip_variance)
+        self._bridge_variance += _turning_variance(abs(way.turn), turning_way, slip_variance)
         self._bridge_time += dt
         if way != NO_DISPLACEMENT:
             self.pose = advance(self.pose, way)
@@ -218,11 +233,10 @@ class WheelOdometry:
         return None if way is None else _displacement(way)
 
     def _move(self, way: Displacement, turn: float | None) -> None:
-        length = abs(way.x) + abs(way.y)
-        self._way += length
+        self._way += abs(way.x) + self._sideways.position * abs(way.y)
         if turn is None:
             self._turned += abs(way.turn)
-            self._turning_way += length
+            self._turning_way += abs(way.x) + self._sideways.heading * abs(way.y)
             self.pose = advance(self.pose, way)
         else:
             self.pose = advance(self.pose, Displacement(way.x, way.y, turn))

@@ -59,7 +59,9 @@ class Drivetrain:
 
 
 class SimulatedRobot:
-    """Devices by motor name, sensors on a bus by theirs, and the plant. `start` sets the time origin of the substeps.
+    """Devices by motor name, sensors on a bus by theirs, what others would tell (`signals`), and the plant.
+
+    `start` sets the time origin of the substeps.
 
     `joint_angles`: where motors stand before the start, rad at the output from the joint's zero. `plant`: instead of
     the one of this chassis kind.
@@ -77,6 +79,11 @@ class SimulatedRobot:
         self.sensors = _sensors(config.sensor)
         self._kinds = {sensor.name: sensor.kind.value for sensor in config.sensor}
         self._sensor_shifts: dict[str, float] = {}  # m or rad that they tell too much
+        self.signals = {
+            sensor.name: sender.signal(sensor.kind.value, seed=place)
+            for place, sensor in enumerate(config.sensor)
+            if sensor.bus is None
+        }
         self._sensing = tuple({id(one): one for one in self.sensors.values()}.values())  # some have several names
         self._places = {name: place for place, name in enumerate(self.devices)}
         self._drivers = tuple(motor.driver for motor in config.motors_in_order())
@@ -126,6 +133,7 @@ class SimulatedRobot:
             joint.device.start(shaft, now_ns)
         for sensor in self._sensing:
             sensor.start(self.scene, now_ns)
+        self._sense(now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Run every whole substep up to now."""
@@ -141,11 +149,16 @@ class SimulatedRobot:
                 self._torques[place] = drivetrain.torque(self._torques[place], self._plant.rates[place])
             for twin, shaft in self._twins.values():
                 twin.step(shaft, time_ns)
-            if self._sensing:
-                scene = self.scene
-                for sensor in self._sensing:
-                    sensor.step(scene, time_ns)
+            if self._sensing or self.signals:
+                self._sense(time_ns)
             time_ns += STEP_NS
+
+    def _sense(self, time_ns: int) -> None:
+        scene = self.scene
+        for sensor in self._sensing:
+            sensor.step(scene, time_ns)
+        for name, signal in self.signals.items():
+            signal.look(scene.of(self._kinds[name]), time_ns)
 
     def drivetrain(self, motor: str) -> Drivetrain:
         """To weaken what this motor does."""

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit
+from gateway.chassis.contract import ALIKE, ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
 from gateway.config import ConfigError, RobotConfig, parse, parse_as
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import Measured, SpeedLaw
@@ -43,6 +43,7 @@ class FourAxes(Section):
 
     GEOMETRY: ClassVar[str] = "distance and radius"
     AXES: ClassVar[tuple[str, ...]] = AXES
+    SIDEWAYS: ClassVar[Sideways] = ALIKE
     saturation: ClassVar[Saturation] = Saturation.BOTH
 
     kind: Literal["four_axes"]

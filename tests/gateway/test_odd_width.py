@@ -305,6 +305,23 @@ def test_a_sender_that_hangs_is_as_good_as_a_silent_one() -> None:
     assert "wire: its counter stands still" in [event.text for event in drive.events]
 
 
+@pytest.mark.parametrize("width_rate", [0.0, 0.1])
+def test_the_odometry_tells_what_errs_more(width_rate: float) -> None:
+    """0.6 m along each axis, the heading by the wheels: to the side, and while the width changes, it is less sure."""
+
+    def grown(twist: Twist, rate: float) -> tuple[float, float]:
+        drive = Drive(0.3).start()
+        drive.loop.bus.robot.sensors["gyro"].unplug()
+        drive.run(2.3, twist, rate=rate)
+        told = next(outputs.odometry for _, outputs in reversed(drive.records) if outputs.odometry)
+        return told.covariance[0] + told.covariance[4], told.covariance[8]
+
+    forward, turned = grown(Twist(0.3, 0.0, 0.0), 0.0)
+    other, other_turned = grown(Twist(0.3, 0.0, 0.0) if width_rate else Twist(0.0, 0.3, 0.0), width_rate)
+    assert other > 1.15 * forward
+    assert other_turned > 1.8 * turned
+
+
 def test_all_of_it_is_in_the_snapshot() -> None:
     drive = Drive(0.5)
     drive.run(0.6, ZERO_TWIST)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.chassis.contract import Sideways
 from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.core.odometry import WheelOdometry, advance
 from gateway.types import Displacement, Pose, Twist
@@ -284,3 +285,36 @@ def test_a_gyro_keeps_the_heading_out_of_it() -> None:
     assert found[:2, :2] == pytest.approx(np.array([[0.01, -0.02], [-0.02, 0.04]]), abs=1e-12)
     assert found[2, :2] == pytest.approx([0.0, 0.0], abs=1e-12)
     assert found[2, 2] <= 2e-3 + 0.25 * 0.004, "the gyro's own second; its first sample said nothing of the turn"
+
+
+# a chassis that errs more one way than another
+
+LIKELY = Sideways(position=1.5, heading=4.0)
+
+
+def uneven(way: Displacement, *, beside: float = 0.0, heading: float | None = None) -> list[float]:
+    """Variances of x, y and theta that 1 s of this motion of omni4 adds, where a way to the side errs more."""
+    odometry = WheelOdometry(omni_kinematics(POSES), top_speeds=[200.0] * 4, sideways=LIKELY)
+    deltas = omni_kinematics(POSES).wheel_speeds(Twist(*way))
+    odometry.update(deltas, (), residual=None, dt=1.0, heading=heading, beside=beside)
+    if heading is not None:
+        odometry.update(deltas, (), residual=None, dt=1.0, heading=heading, beside=beside)
+    covariance = odometry.read(None, None).covariance
+    return [covariance[place] - 1e-6 for place in (0, 4, 8)]
+
+
+def test_a_way_to_the_side_errs_more_than_one_forward() -> None:
+    """Of 0.5 m: 4e-4 m^2/m and 1e-4 rad^2/m forward; and what the heading's error adds across the way, at rest none."""
+    forward, left = uneven(Displacement(0.5, 0.0, 0.0)), uneven(Displacement(0.0, 0.5, 0.0))
+    assert forward == pytest.approx([2e-4, 2e-4, 0.5e-4], abs=1e-6)
+    assert left == pytest.approx([3e-4, 3e-4, 2e-4], abs=1e-6)
+
+
+def test_a_way_of_another_axis_errs_as_one_to_the_side() -> None:
+    still, gyro = Displacement(0.0, 0.0, 0.0), 0.3
+    assert uneven(still, beside=0.5) == pytest.approx([3e-4, 3e-4, 2e-4], abs=1e-9)
+    assert uneven(still, beside=-0.5) == uneven(still, beside=0.5)
+    assert uneven(still) == [0.0, 0.0, 0.0]
+    x, y, theta = uneven(still, beside=0.5, heading=gyro)
+    assert (x, y) == pytest.approx((6e-4, 6e-4), abs=1e-9)
+    assert theta == pytest.approx(1e-6), "the gyro's own, of the second in which it told a turn"

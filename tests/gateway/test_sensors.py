@@ -2,11 +2,14 @@
 
 from collections.abc import Iterable
 from math import pi
+from typing import cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.cli.run import _sensing
+from gateway.client import Client
 from gateway.config import ConfigError, Sensor, parse
 from gateway.core.engine import Engine
 from gateway.core.sensors import Heading, Sensors
@@ -251,3 +254,32 @@ def test_without_the_samples_it_is_another_drive() -> None:
     recorded = [repr(outputs) for _, outputs in world.records]
     assert replayed(keep=True) == recorded
     assert replayed(keep=False) != recorded
+
+
+# simulated, as `run --simulate` publishes them
+
+
+class Told:
+    """A client that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.samples: list[tuple[str, dict[str, float | None]]] = []
+
+    def sense(self, sensor: str, **values: float | None) -> None:
+        self.samples.append((sensor, values))
+
+
+def test_a_simulated_robot_tells_what_sensors_by_zenoh_would_with_every_odometry() -> None:
+    """A robot whose wheels do not go apart has nothing that a range would tell."""
+    world, told, truths = World("moby", edit=with_sensors), Told(), []
+    robot = world.bus.robot
+    sense = _sensing(robot, world.config, cast(Client, told), lambda now_ns, _: truths.append(now_ns))
+    for _ in range(250):
+        outputs = world.cycle()
+        sense(world.now_ns, outputs)
+    assert len(truths) == 250
+    assert {name for name, _ in told.samples} == {"imu", "lean"}
+    heard = [values["heading"] for name, values in told.samples if name == "imu"]
+    assert len(heard) == 50
+    assert heard == pytest.approx([0.0] * 50, abs=5e-3)
+    assert set(told.samples[0][1]) <= {"heading", "roll", "pitch", "roll_rate", "pitch_rate", "yaw_rate"}

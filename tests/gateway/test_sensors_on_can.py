@@ -7,6 +7,7 @@ import pytest
 from gateway.config import ConfigError, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
+from gateway.core.examination import examine
 from gateway.core.frame_words import FrameWords
 from gateway.types import Attitude, SensorStatus, Twist
 from replay.sim.sensors.sender import Sender
@@ -161,6 +162,20 @@ def test_what_the_robot_file_may_not_say(old: str, new: str, words: str) -> None
     text = robot_text("omni4") + IMU.replace(old, new)
     with pytest.raises(ConfigError, match=words):
         build(parse(text, "omni4"))
+
+
+def test_check_tells_how_each_is_heard() -> None:
+    by_zenoh = '[[sensor]]\nname = "nose"\nkind = "range"\ntimeout = 0.2\n\n[commands]'
+    told = examine(parse(robot_text("odd").replace("[commands]", by_zenoh, 1), "odd"), "odd").sensors
+    assert told[0] == ("wire", "range", "can0, draw_wire 0x120, 100 Hz")
+    assert told[-1] == ("nose", "range", "Zenoh")
+
+
+def test_a_width_sensor_that_is_not_there_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"robot.width_sensor = 1: no such .* of kind 'range'; from 0 on there is wire"
+    ):
+        parse(robot_text("odd").replace("width_sensor = 0", "width_sensor = 1"), "odd")
 
 
 def test_two_draw_wires_need_two_ids() -> None:

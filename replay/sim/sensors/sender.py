@@ -18,6 +18,11 @@ _NOT_BEGUN = 1  # state of a sensor that has nothing to tell yet
 _OUT_OF_RANGE = 2
 _LAST_STANDARD_ID = 0x7FF
 
+NOISES: Mapping[str, Sequence[float]] = {
+    "range": (WIRE_NOISE,),
+    "attitude": (ANGLE_NOISE, ANGLE_NOISE, RATE_NOISE, RATE_NOISE, RATE_NOISE),
+    "heading": (ANGLE_NOISE,),
+}
 Content = tuple[int, list[bytes]]  # state, and the values of each frame
 
 
@@ -97,18 +102,19 @@ class Sender:
         return CanFrame(self.setup.bus, identifier, data + bytes([check]), extended=identifier > _LAST_STANDARD_ID)
 
 
+def signal(kind: str, *, seed: int) -> Signal:
+    """One kind of value as such a sensor tells it."""
+    return Signal(NOISES[kind], delay_ns=DELAY_NS, seed=seed)
+
+
 def draw_wire(setup: SensorSetup) -> Sender:
     """Its wire goes from one pair of wheels to the other."""
-    return Sender(setup, {"range": Signal([WIRE_NOISE], delay_ns=DELAY_NS, seed=setup.id)}, _length)
+    return Sender(setup, {"range": signal("range", seed=setup.id)}, _length)
 
 
 def imu(setup: SensorSetup) -> Sender:
     """On the body."""
-    noise = [ANGLE_NOISE] * 2 + [RATE_NOISE] * 3
-    signals = {
-        "attitude": Signal(noise, delay_ns=DELAY_NS, seed=setup.id),
-        "heading": Signal([ANGLE_NOISE], delay_ns=DELAY_NS, seed=setup.id + 1),
-    }
+    signals = {"attitude": signal("attitude", seed=setup.id), "heading": signal("heading", seed=setup.id + 1)}
     return Sender(setup, signals, _inertial)
 
 
