@@ -9,9 +9,10 @@ from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawPa
 from gateway.control.balance import BalancingLaw
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
-from gateway.control.odd_law import RATE, OddLaw, Yields
+from gateway.control.odd_law import RATE, TURNING, OddLaw, Yields
 from gateway.control.pendulum import BalanceError, BalanceGains, Standing, objection, pendulum, unfit
 from gateway.control.posture import Posture
+from gateway.control.steering import Steering, SteeringGains
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.odd import AXES, WHEELS, OddGeometry, OddKinematics
 from gateway.sections import Angle, Body, Length, Name, Section
@@ -46,6 +47,25 @@ class Balance(Section):
         return BalanceGains(self.pitch, self.pitch_rate, self.velocity, self.position)
 
 
+class SteeringConfig(Section):
+    """PD of the yaw, by the yaw rate of an IMU (`gateway.control.steering`). `lag`: by which it follows at worst."""
+
+    yaw: Annotated[float, Field(gt=0.0, le=100.0, description="1/s")]
+    yaw_rate: Annotated[float, Field(ge=0.0, le=10.0, description="1")] = 0.0
+    lag: Annotated[float, Field(ge=0.001, le=1.0, description="s")] = 0.05
+
+    @model_validator(mode="after")
+    def _does_not_swing(self) -> Self:
+        problem = self.gains().objection(self.lag)
+        if problem is not None:
+            raise ValueError(problem)
+        return self
+
+    def gains(self) -> SteeringGains:
+        """For the law."""
+        return SteeringGains(self.yaw, self.yaw_rate)
+
+
 class OddRobot(Section):
     """Pairs of wheels in line around the middle, `spacing` apart within a pair, the pairs `width` apart at the start.
 
@@ -70,6 +90,7 @@ class OddRobot(Section):
     wheels: tuple[Name, Name, Name, Name]
     yields: Yields = Yields.ALL
     width_sensor: Literal[0, 1, 2, 3] | None = None
+    steering: SteeringConfig | None = None
     balance: Balance | None = None
 
     @model_validator(mode="after")
@@ -124,6 +145,7 @@ class OddRobot(Section):
             lateness=parts.acceleration[RATE] / parts.jerk[RATE] + parts.delay + parts.period,
             yields=self.yields,
             place=self.width_sensor,
+            steering=None if self.steering is None else Steering(self.steering.gains(), top=parts.velocity[TURNING]),
         )
         return law if self.balance is None else self._balancing(self.balance, law, parts)
 

@@ -7,7 +7,7 @@ rate outward is aimed at that half the acceleration of the width could not stop 
 it could not. A width that is commanded is gone to at a rate in proportion to what is missing, and just as softly: a
 cascade over the loop of the rate, whose gain follows from how late the rate follows. What the wheels cannot turn at
 once yields as the robot file says: the width, the motion, or all in proportion; what exceeds them still, on its way
-from one setpoint to another, is scaled as a whole.
+from one setpoint to another, is scaled as a whole. Where a gyro is to steer it, wheels are told what makes it turn so.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,10 +19,12 @@ from gateway.control.drive_law import Features, Measured, Motion, SpeedLaw
 from gateway.control.limits import Ground
 from gateway.control.odd_width import CORRECTION, GATE, WidthEstimate
 from gateway.control.posture import Posture
+from gateway.control.steering import Steering
 from gateway.kinematics.contract import desaturate
 from gateway.kinematics.odd import OddKinematics
 from gateway.types import Event, Facts, Rates, Region
 
+TURNING: Final = 2  # place of it among the axes
 RATE: Final = 3  # place of the width's rate among the axes
 EARLY: Final = 0.5  # of the acceleration, with which an aim ends at the range: the rest is for jerk and lateness
 DAMPING: Final = 0.25  # gain of the width times the lateness of its rate: k / (s (1 + T s)) is critically damped at 1/4
@@ -42,7 +44,7 @@ class OddLaw:
     `top_rate` and `acceleration` of the width, m/s and m/s^2; `lateness`: s by which its rate follows a command.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what it is put together from, by name
         self,
         kinematics: OddKinematics,
         *,
@@ -53,6 +55,7 @@ class OddLaw:
         lateness: float,
         yields: Yields,
         place: int | None,
+        steering: Steering | None = None,
     ) -> None:
         self._kinematics = kinematics
         self._wheels = wheels
@@ -60,6 +63,7 @@ class OddLaw:
         self._acceleration = acceleration  # m/s^2 of the width
         self._yields = yields
         self._place = place
+        self._steering = steering
         geometry = kinematics.geometry
         self._features = Features(width=True, widths=(geometry.narrowest, geometry.widest))
         self._gain = DAMPING / lateness
@@ -126,12 +130,14 @@ class OddLaw:
         if any(setpoint):
             self._known.drive()
         within = self._within(setpoint, self._acceleration)
-        driven = self._wheels.motion(within, measured, braking=braking, path_rate=path_rate)
+        steered = self._steered(within, measured, braking=braking)
+        driven = self._wheels.motion(steered, measured, braking=braking, path_rate=path_rate)
         limits = driven.limits if within is setpoint else (*driven.limits, "width")
         return Motion(driven.commands, driven.share, limits, self._numbers(), (*driven.events, *events))
 
     def stop(self, measured: Measured) -> Motion:
         """Every wheel braked."""
+        self._forget_steering()
         events = self._measure(measured)
         braked = self._wheels.stop(measured)
         return Motion(braked.commands, numbers=self._numbers(), events=events)
@@ -146,6 +152,7 @@ class OddLaw:
 
     def forget_told(self) -> None:
         """Wheels that were let go may have been moved."""
+        self._forget_steering()
         self._known.release()
 
     def _measure(self, measured: Measured) -> tuple[Event, ...]:
@@ -157,6 +164,21 @@ class OddLaw:
         events = self._known.measure(rate, told, measured.dt)
         self._width.metres = self._known.metres
         return events
+
+    def _steered(self, rates: Rates, measured: Measured, *, braking: bool) -> Rates:
+        """Turning as a gyro has to see it; a robot that comes to rest makes up for nothing."""
+        if self._steering is None:
+            return rates
+        if braking and not any(rates):
+            self._steering.forget()
+            return rates
+        attitude = measured.attitude
+        turning = None if attitude is None else attitude.yaw_rate
+        return (*rates[:TURNING], self._steering.steered(rates[TURNING], turning, measured.dt), *rates[RATE:])
+
+    def _forget_steering(self) -> None:
+        if self._steering is not None:
+            self._steering.forget()
 
     def _numbers(self) -> tuple[float | None, ...]:
         """Of its channels: the width, and the one that is asked for."""
