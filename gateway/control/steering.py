@@ -2,8 +2,8 @@
 
 How this works
 --------------
-e is the turn that is missing, the integral of what is asked for less what the gyro tells. With wheels that follow with a
-lag T the loop is T e'' + (1 + Kd) e' + Kp e = 0, stable for every Kp > 0 and Kd >= 0, and without overshoot as long
+e is the turn that is missing, the integral of what is asked for less what the gyro tells. With wheels that follow by
+a lag T the loop is T e'' + (1 + Kd) e' + Kp e = 0, stable for every Kp > 0 and Kd >= 0, and without overshoot as long
 as 4 T Kp <= (1 + Kd)^2. Source: arXiv 2407.10127 (steering by PD of the yaw); the condition is derived.
 """
 

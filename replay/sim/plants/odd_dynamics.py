@@ -64,7 +64,9 @@ def plant(robot: OddRobot, leaning: Leaning | None = None) -> "OddDynamics":
     balance = robot.balance
     if leaning is None and balance is not None:
         leaning = Leaning(balance.height, balance.pitch_inertia)
-    return OddDynamics(parameters(robot, leaning), width=robot.width)
+    made = OddDynamics(parameters(robot, leaning), width=robot.width)
+    made.attended = balance is not None
+    return made
 
 
 class _Middle(NamedTuple):
@@ -109,7 +111,7 @@ class OddDynamics:
         self.width = width
         self.pitch = 0.0  # rad from the normal of the floor, forward and down
         self.fallen = False
-        self.attended = True
+        self.attended = False
         self._propped = False
         self.angles: tuple[float, ...] = (0.0,) * 4
         self._own = self._parameters = parameters
