@@ -184,3 +184,27 @@ def test_keyboard_teleoperation(tmp_path: Path, free_port: int) -> None:
             os.close(keyboard)
             os.close(terminal)
         assert after == before
+
+
+def test_a_robot_that_balances_stands_up_when_it_is_asked(tmp_path: Path, free_port: int) -> None:
+    """How long it stays up depends on the computer here, which may be late; in virtual time see test_balance.py."""
+    name = "odd_balancing"
+    with RobotProcess(name, tmp_path, free_port) as robot:
+
+        def stand(way: str) -> dict[str, object]:
+            command = [sys.executable, "-m", "gateway", "stand", name, way, "--connect", robot.endpoint, "--json"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+            answer = json.loads(done.stdout.splitlines()[-1])
+            assert (done.returncode == 0) == answer["ok"]
+            return dict(answer)
+
+        down = "it is down: hold it upright and ask it to stand up"
+        robot.stream(0.0, 0.0, 0.0, until=lambda state: state.status.reason == down)
+        assert stand("down") == {"ok": False, "reason": "it does not stand"}
+        assert stand("up") == {"ok": True, "reason": None}
+        robot.stream(0.0, 0.0, 0.0, until=in_mode(Mode.DRIVE))
+        robot.await_state(in_mode(Mode.STOPPING, Mode.FAULT, Mode.IDLE))
+        robot.client.let_down()
+        robot.await_state(in_mode(Mode.IDLE))
+    verdict = robot.verify()
+    assert (verdict.exit_code, verdict.identical) == (0, True)

@@ -453,6 +453,17 @@ def test_a_reset_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
             assert asking.result() == ResetAnswer(ok, reason)
 
 
+def test_to_stand_up_and_to_be_let_down_are_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        for asked, kind in ((client.stand_up, RequestKind.STAND_UP), (client.let_down, RequestKind.LET_DOWN)):
+            asking = pool.submit(asked, TIMEOUT_S)
+            loop.until(lambda: loop.requests)
+            request = loop.requests.pop()
+            assert request.kind is kind
+            loop.link.reply(Reply(request.id, False, "this robot stands by itself"))
+            assert asking.result() == ResetAnswer(False, "this robot stands by itself")
+
+
 def test_a_reset_the_loop_ignores_is_answered_all_the_same(client: Client) -> None:
     assert client.reset(TIMEOUT_S) == ResetAnswer(False, NO_ANSWER)
 
