@@ -98,7 +98,7 @@ def figure_9(stage: Stage) -> Found:
     seen = drive_odd(stage, CASTERS, creeping, path.course)
     sessions["wheels that creep"] = seen.drive.session
     drift = 100.0 * (seen.widths[-1] - seen.widths[0])
-    rows.append(Row(f"width gained, {path.words}, wheels creep, service", "cm", drift, None, "nothing measures it"))
+    rows.append(Row(f"width gained, {path.words}, wheels creep, service", "cm", drift, None, "nothing holds it"))
     notes = (
         PAPER_NOTE,
         _PATHS_NOTE,
@@ -107,8 +107,8 @@ def figure_9(stage: Stage) -> Found:
         "behind the axle.",
         "The paper supposes that the regular deviation comes from the slope. On wheels that roll without creep it does "
         "not: their speed loops hold against the slope. Where wheels creep (5 % of their speed under a push as large "
-        "as their load) the halves go apart in the turn, which the wheels do not tell, and so the loop of the robot "
-        "grows: the width has to be measured.",
+        "as their load) the halves go apart in the turn, which the wheels do not tell: the width has to be measured "
+        "and held.",
         "Balls are taken to roll without resistance.",
     )
     return Found(

@@ -246,7 +246,7 @@ def test_a_drive_of_the_service_ends_where_the_plant_has_it() -> None:
     (expected, _), (truths, odometry) = driven(plant), driven(contact)
     assert expected[-1].theta > 1.5
     for one, other in zip(expected, truths, strict=True):
-        assert hypot(one.x - other.x, one.y - other.y) < 1e-3
-        assert abs((one.theta - other.theta + pi) % (2.0 * pi) - pi) < 2e-3
+        assert hypot(one.x - other.x, one.y - other.y) < 5e-3
+        assert abs((one.theta - other.theta + pi) % (2.0 * pi) - pi) < 4e-3
     assert contact.width == pytest.approx(plant.width, abs=2e-3)
-    assert hypot(odometry.x - truths[-1].x, odometry.y - truths[-1].y) < 4e-3  # its gyro is noisy
+    assert hypot(odometry.x - truths[-1].x, odometry.y - truths[-1].y) < 8e-3
