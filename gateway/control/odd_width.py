@@ -145,8 +145,6 @@ class WidthEstimate:
 
     def _go_blind(self, way: float, dt: float) -> None:
         """By the wheels alone."""
-        if self._blind_s == 0.0:
-            self._wheels = self.metres
         self._blind_s += dt
         self._blind_way += way
         self.doubt += WHEELS_OFF * way + DRIFT * dt
