@@ -96,6 +96,19 @@ def test_a_silent_sensor_leaves_it_to_the_wheels_for_a_way_and_with_a_growing_ma
     assert one.freedom == (1.0, 0.0)
 
 
+def test_after_a_bus_that_was_away_the_sensor_is_believed_wherever_the_wheels_went() -> None:
+    one = known(0.4)
+    for _ in range(75):
+        one.measure(None, None, DT)
+    assert one.freedom.share == 0.5
+    assert one.freedom.margin == pytest.approx(0.3)
+    assert told(one, 0.6, seconds=DT) == ["width_sensed"]
+    assert one.metres == pytest.approx(0.41), "drawn there, without a step"
+    assert told(one, 0.6, seconds=0.5) == []
+    assert (one.by, one.freedom) == ("sensor", (1.0, 0.0))
+    assert one.metres == pytest.approx(0.6, abs=1 * MM)
+
+
 def test_short_silences_do_not_add_up() -> None:
     one = known(0.3)
     for _ in range(10):
