@@ -129,7 +129,6 @@ class CountedSensor:
             return _REPEATED
         self._counts[place] = count
         if state != GOOD:
-            self._next = 0
             return Heard(flaw=STATES.get(state, f"it reports state {state}, which is none"))
         return self._take(place, count, self._read(place, data), received_ns)
 

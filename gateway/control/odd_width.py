@@ -8,8 +8,8 @@ With one it is unknown until the sensor has told the same for STEADY_S, within t
 is released and its wheels do not change the width. From then on the wheels carry it from cycle to cycle, and the sensor
 draws it. A sample further from it than a gate and the doubt of the wheels is none: nothing goes there in no time, so
 the sensor jumped. While it is silent, or has jumped, the wheels alone tell the width: at a share of the rate, and each
-end of the range nearer by what they may be off, which grows with way and time; after BLIND_WAY or BLIND_S the width is
-held. Once the sensor tells what the wheels do, it is believed again.
+end of the range nearer by what they may be off, which grows with way and time, and fast where they tell nothing either;
+after BLIND_WAY or BLIND_S the width is held. Once the sensor tells what the wheels do, it is believed again.
 
 What the wheels alone have added up to shows whether the two agree over a way (FORGET_WAY). Where they differ by DISPUTE
 either the wheels slip, a slide is stuck, or the wire is caught, and nothing here can tell which: the width is that of
@@ -32,6 +32,7 @@ AT_REST: Final = 0.005  # m/s
 OUTSIDE: Final = 0.01  # m beyond the range that a slide at its stop may tell
 WHEELS_OFF: Final = 0.1  # of their way, that wheels may be off by; source: ours
 DRIFT: Final = 0.001  # m/s, that a robot without a sensor may be pushed apart unseen; source: ours
+UNSEEN: Final = 1.0  # m/s, at which wheels that tell nothing may go apart: they do what they were told last
 BLIND_SHARE: Final = 0.5  # of the rate
 BLIND_WAY: Final = 0.2  # m, of the width
 BLIND_S: Final = 10.0
@@ -113,13 +114,13 @@ class WidthEstimate:
         self._wheels += way
         if self._sensor:
             self._steady(told, rate, dt)
-            self._judge(told, way, dt)
+            self._judge(told, rate, dt)
         if self.by == before or self.by not in _EVENTS:
             return ()
         level, code = _EVENTS[self.by]
         return (Event(level, code, self._words()),)
 
-    def _judge(self, told: float | None, way: float, dt: float) -> None:
+    def _judge(self, told: float | None, rate: float | None, dt: float) -> None:
         if told is not None and self._released and self._steady_s >= STEADY_S and self._is_width(told):
             if self.by != SENSED:
                 self._take(told)
@@ -128,11 +129,14 @@ class WidthEstimate:
             return
         if told is None or abs(told - self.metres) > self._gate + self.doubt:
             self._why = self._why_not(told)
-            self._go_blind(abs(way), dt)
+            self._go_blind(rate, dt)
             return
-        self.doubt = self._blind_s = self._blind_way = 0.0
+        self._blind_s = self._blind_way = 0.0
         self.metres = self._within(self.metres + min(1.0, CORRECTION * dt) * (told - self.metres))
-        self._wheels += min(1.0, abs(way) / FORGET_WAY) * (told - self._wheels)
+        self._wheels += min(1.0, abs(rate or 0.0) * dt / FORGET_WAY) * (told - self._wheels)
+        if self.doubt > 0.0:
+            self._wheels += min(max(told - self._wheels, -self.doubt), self.doubt)
+            self.doubt = max(0.0, min(self.doubt, abs(told - self.metres) - self._gate))
         apart = abs(self._wheels - told)
         self.by = DISPUTED if apart > (AGREED * DISPUTE if self.by == DISPUTED else DISPUTE) else SENSED
         self._why = f"wheels and sensor are {apart:.3f} m apart: wheels slip, a slide is stuck, or the wire is caught"
@@ -143,13 +147,13 @@ class WidthEstimate:
         self.doubt = 0.0
         self.by = SENSED
 
-    def _go_blind(self, way: float, dt: float) -> None:
-        """By the wheels alone."""
-        if self._blind_s == 0.0:
-            self._wheels = self.metres
+    def _go_blind(self, rate: float | None, dt: float) -> None:
+        """By the wheels alone; where they tell nothing either it may soon be any width."""
+        way = abs(rate or 0.0) * dt
         self._blind_s += dt
         self._blind_way += way
-        self.doubt += WHEELS_OFF * way + DRIFT * dt
+        doubt = self.doubt + (WHEELS_OFF * way + DRIFT * dt if rate is not None else UNSEEN * dt)
+        self.doubt = min(doubt, self._widest - self._narrowest)
         self.by = HELD if self._blind_s > BLIND_S or self._blind_way > BLIND_WAY else BY_WHEELS
 
     def _steady(self, told: float | None, rate: float | None, dt: float) -> None:

@@ -54,7 +54,7 @@ class Sensors:
     """
 
     def __init__(self, sensors: Sequence[Sensor], *, top_turn: float, ports: Sequence[Port] = ()) -> None:
-        self.ports: Final = tuple(ports)
+        self.ports = tuple(ports)  # their drivers own state: not final, so that a snapshot takes and gives it
         ids = {use.id for port in ports for use in port.driver.ids()}
         self._listeners = {
             at: tuple([port for port in ports if at in [use.id for use in port.driver.ids()]]) for at in ids

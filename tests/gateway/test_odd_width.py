@@ -96,6 +96,28 @@ def test_a_silent_sensor_leaves_it_to_the_wheels_for_a_way_and_with_a_growing_ma
     assert one.freedom == (1.0, 0.0)
 
 
+def test_after_a_bus_that_was_away_the_sensor_is_believed_wherever_the_wheels_went() -> None:
+    one = known(0.4)
+    for _ in range(75):
+        one.measure(None, None, DT)
+    assert one.freedom.share == 0.5
+    assert one.freedom.margin == pytest.approx(0.3)
+    assert told(one, 0.6, seconds=DT) == ["width_sensed"]
+    assert one.metres == pytest.approx(0.41), "drawn there, without a step"
+    assert told(one, 0.6, seconds=0.5) == []
+    assert (one.by, one.freedom) == ("sensor", (1.0, 0.0))
+    assert one.metres == pytest.approx(0.6, abs=1 * MM)
+
+
+def test_short_silences_do_not_add_up() -> None:
+    one = known(0.3)
+    for _ in range(10):
+        for rate in (0.1, -0.1):
+            assert "width_held" not in told(one, None, seconds=1.5, rate=rate)
+            told(one, one.metres, seconds=DT)
+            assert one.by == "sensor"
+
+
 def test_and_no_longer_than_ten_seconds() -> None:
     one = known()
     assert told(one, None, seconds=9.9) == ["width_by_wheels"]
@@ -128,6 +150,7 @@ def test_a_slide_that_is_stuck_or_a_wire_that_is_caught_is_a_dispute() -> None:
     assert one.freedom.share == 0.0
     assert one.metres == pytest.approx(0.315, abs=2 * MM), "that of the sensor, and what it is behind by"
     assert told(one, 0.3, seconds=60.0) == [], "time alone does not end it"
+    assert told(one, 0.3, seconds=0.1, rate=-0.1) == [], "nor do a few mm"
     assert told(one, 0.3, seconds=0.3, rate=-0.2) == ["width_sensed"], "they agree again"
 
 
@@ -139,6 +162,17 @@ def test_wheels_that_slip_by_a_tenth_are_no_dispute() -> None:
             metres += direction * 0.18 * DT
             assert [event.code for event in one.measure(direction * 0.2, metres, DT)] == []
     assert one.metres == pytest.approx(metres, abs=2 * MM)
+
+
+def test_a_slip_that_is_always_the_same_way_is_forgotten_over_the_way() -> None:
+    """A centimetre in each round of 20, eight times."""
+    one = known(0.5)
+    metres = 0.5
+    for rate, share in ((0.1, 0.9), (-0.1, 1.0)) * 8:
+        for _ in range(250):
+            metres += rate * share * DT
+            assert one.measure(rate, metres, DT) == ()
+    assert metres == pytest.approx(0.42)
 
 
 def test_without_a_sensor_nothing_is_doubted() -> None:

@@ -113,6 +113,17 @@ def test_a_wire_out_of_its_range_says_so_itself() -> None:
     assert status(world, "wire").reason == "out of its range"
 
 
+def test_what_was_wrong_before_is_not_why_it_is_silent_now() -> None:
+    world = odd()
+    twin(world, "imu").hang(True)
+    world.run(0.1, TURNING)
+    twin(world, "imu").hang(False)
+    world.run(0.1, TURNING)
+    twin(world, "imu").unplug()
+    world.run(0.2, TURNING)
+    assert status(world, "imu").reason == "silent"
+
+
 def test_it_is_in_the_snapshot_and_replayed_byte_for_byte() -> None:
     world = odd()
     twin(world, "imu").unplug()
