@@ -141,7 +141,7 @@ class BalancingLaw:
             self.forget_told()
             down = self._wheels.motion((0.0,) * len(setpoint), measured, braking=braking)
             return Motion(self._coasts, numbers=(*down.numbers, None), events=down.events)
-        self._told = self._balanced(setpoint[0], attitude, measured)
+        self._told = self._balanced(setpoint, attitude, measured)
         rolled = self._told - self._radius * (attitude.pitch_rate or 0.0)
         rest, share = self._beside(rolled, setpoint)
         motion = self._wheels.motion((rolled, *rest), measured, braking=braking, path_rate=path_rate)
@@ -149,13 +149,18 @@ class BalancingLaw:
         limits = motion.limits if share == 1.0 else (*motion.limits, "balance")
         return Motion(commands, share, limits, (*motion.numbers, self._told), motion.events)
 
-    def _balanced(self, reference: float, attitude: Attitude, measured: Measured) -> float:
-        """M/s along x by which it stays upright on the way to this speed."""
+    def _balanced(self, setpoint: Rates, attitude: Attitude, measured: Measured) -> float:
+        """M/s along x by which it stays upright on the way to this speed, and in this turn.
+
+        Turning while it goes sideways is an acceleration along x, for which it has to lean: -wz vy.
+        """
+        reference, sideways, wz = setpoint[0], setpoint[1], setpoint[2]
         gains, dt = self._gains, measured.dt
         turning = attitude.pitch_rate or 0.0
         if measured.estimate is not None:
             self._speed = measured.estimate.twist.vx + self._radius * turning
-        wanted = self._body.lean((reference - self._reference) / dt) if dt > 0.0 else self._lean
+        change = (reference - self._reference) / dt if dt > 0.0 else 0.0
+        wanted = self._body.lean(change - wz * sideways)
         self._lean += self._taken_up * (wanted - self._lean)
         self._reference = reference
         self._ahead = max(-FARTHEST, min(FARTHEST, self._ahead + (self._speed - reference) * dt))

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from gateway.types import Pose
 from replay.reproduce.odd_robot import (
+    BALANCING,
     CASTERS,
     LEVEL,
     PAPER_NOTE,
@@ -28,7 +29,7 @@ from replay.reproduce.picture import Line, Mark, Panel, Picture
 from replay.reproduce.result import Found, Row, Stage, at_least, at_most
 from replay.reproduce.service import Sample
 
-FORMS: Final[tuple[Form, ...]] = (CASTERS,)
+FORMS: Final[tuple[Form, ...]] = (CASTERS, BALANCING)
 _SPEED: Final = 0.4  # m/s
 _TURN: Final = 0.8  # rad/s
 _LOOPS: Final = 3
@@ -75,7 +76,8 @@ def figure_8(stage: Stage) -> Found:
     notes = (
         PAPER_NOTE,
         "The paper drives these balancing, and prints no deviation of them; here the robot goes "
-        f"{' and '.join(form.words for form in FORMS)}, on a level floor, with nothing that corrects its place.",
+        f"{' and '.join(form.words for form in FORMS)}, on a level floor, with nothing that corrects its place but, "
+        "balancing, what leads it back along x.",
         _PATHS_NOTE,
     )
     return Found(tuple(rows), Picture("Figure 8: four paths", (panels[:2], panels[2:])), notes, sessions)

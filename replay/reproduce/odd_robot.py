@@ -17,7 +17,7 @@ from replay.reproduce.result import Stage
 from replay.reproduce.service import Driven, Order, Sample, drive_in
 from replay.sim.plants.contract import PlantName
 from replay.sim.plants.odd_bodies import parameters
-from replay.sim.plants.odd_dynamics import OddDynamics
+from replay.sim.plants.odd_dynamics import OddDynamics, leaning_of
 
 PAPER_NOTE: Final = (
     "The paper prints no gain, mass, size, speed, duration or width, and of these paths four deviations alone: robot, "
@@ -35,6 +35,7 @@ class Form(NamedTuple):
 
 
 CASTERS: Final = Form("on ball casters", "odd", 0.17)
+BALANCING: Final = Form("balancing", "odd_balancing", 0.08)
 
 
 class Floor(NamedTuple):
@@ -166,7 +167,7 @@ def drive_odd(stage: Stage, form: Form, floor: Floor, course: Course) -> Seen:
 
 def plant_on(robot: OddRobot, floor: Floor) -> OddDynamics:
     """The robot on this floor, level until the first command."""
-    p = parameters(robot)
+    p = parameters(robot, leaning_of(robot))
     plant = OddDynamics(
         p._replace(
             left=floor.left * p.mass,
@@ -179,6 +180,7 @@ def plant_on(robot: OddRobot, floor: Floor) -> OddDynamics:
         ),
         width=robot.width,
     )
+    plant.attended = True
     for joint in plant.wheels:
         plant.set_friction(joint, floor.friction)
     return plant

@@ -5,7 +5,7 @@ client would, as the first source of the robot file and zero first. Time counts 
 zero which starts the robot.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from math import cos, sin
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from replay.sim.plants.offset_caster import OffsetCaster
 
 _SENDER = "experiment"
 _PATIENCE = 8.0  # s, for the robot to start
+_SETTLING = 2.0  # s
 
 
 class Order(NamedTuple):
@@ -149,12 +150,18 @@ class _Drive:
         return samples
 
     def _start(self) -> None:
+        balances = getattr(self._loop.config.robot, "balance", None) is not None
         for _ in range(round(_PATIENCE * 1e9 / self._loop.period_ns)):
-            if self._cycle(Order(0.0, 0.0)).mode is Mode.DRIVE:
-                return
+            if self._cycle(Order(0.0, 0.0), stand_up=balances).mode is Mode.DRIVE:
+                return self._settle() if balances else None
         raise ReproduceError(f"the robot does not start: {self._loop.engine.mode.value}")
 
-    def _cycle(self, order: Order) -> Outputs:
+    def _settle(self) -> None:
+        """A robot that has just stood up comes to stand still."""
+        for _ in range(round(_SETTLING * 1e9 / self._loop.period_ns)):
+            self._cycle(Order(0.0, 0.0))
+
+    def _cycle(self, order: Order, *, stand_up: bool = False) -> Outputs:
         now_ns = self._loop.next_ns
         twist = Twist(order.vx, order.vy, order.wz)
         command = TwistCommand(
@@ -167,14 +174,18 @@ class _Drive:
             width_rate=order.width_rate,
             path_rate=order.path_rate,
         )
-        inputs, outputs = self._loop.cycle(commands=[command], requests=self._requests(order.settings, now_ns))
+        requests = self._requests(order.settings, now_ns)
+        if stand_up:
+            self._asked += 1
+            requests.append(Request(RequestKind.STAND_UP, self._asked, now_ns))
+        inputs, outputs = self._loop.cycle(commands=[command], requests=requests)
         self._recording.put(inputs, outputs, self._loop.engine.snapshot)
         self.events += outputs.events
         if outputs.odometry is not None:
             self._pose = outputs.odometry.pose
         return outputs
 
-    def _requests(self, settings: Mapping[str, float], now_ns: int) -> Sequence[Request]:
+    def _requests(self, settings: Mapping[str, float], now_ns: int) -> list[Request]:
         found = []
         for name, value in settings.items():
             self._asked += 1

@@ -61,12 +61,15 @@ _SIDES = (0.5, 0.5, -0.5, -0.5)  # of the width's rate that a wheel moves to the
 
 def plant(robot: OddRobot, leaning: Leaning | None = None) -> "OddDynamics":
     """As the robot file has it; `leaning`: instead of what it says of a robot that balances."""
-    balance = robot.balance
-    if leaning is None and balance is not None:
-        leaning = Leaning(balance.height, balance.pitch_inertia)
-    made = OddDynamics(parameters(robot, leaning), width=robot.width)
-    made.attended = balance is not None
+    made = OddDynamics(parameters(robot, leaning or leaning_of(robot)), width=robot.width)
+    made.attended = robot.balance is not None
     return made
+
+
+def leaning_of(robot: OddRobot) -> Leaning | None:
+    """As the robot file has it; None: on ball casters."""
+    balance = robot.balance
+    return None if balance is None else Leaning(balance.height, balance.pitch_inertia)
 
 
 class _Middle(NamedTuple):
