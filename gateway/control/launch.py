@@ -121,7 +121,14 @@ class LaunchLaw:
         self._driven: Rates | None = None  # the last setpoint; None: nothing to tell an acceleration from
         self._told: Told | None = None  # in the last cycle; None: nothing was pushed
         self._turning: Sequence[float] = self._still  # rad/s of the last setpoint
-        self._slip = LaunchSlip(grip, radii=radii, losses=losses, top_speeds=top_speeds, period=speeds.period)
+        self._slip = LaunchSlip(
+            grip,
+            radii=radii,
+            losses=losses,
+            top_speeds=top_speeds,
+            led=[pusher.feed_forward or pusher.winding is not None for pusher in pushers],
+            period=speeds.period,
+        )
         self._held = 0.0  # s for which the torques stay bounded
         self._stepped = False  # voltages were told in the last cycle
         self._followed = True  # no wheel was far from its setpoint under voltages since rest

@@ -114,12 +114,11 @@ class TorqueLossDetector:
             return None
         if self._time < BLOCK:
             return None
-        if self._stands(before, twist):
-            self._begin(twist)
-            return None
-        self._take(before, twist)
+        stood = self._stands(before, twist)
+        if not stood:
+            self._take(before, twist)
         self._begin(twist)
-        suspect = self._suspect()
+        suspect = None if stood else self._suspect()
         if suspect is None:
             return None
         told = torques[suspect] or 0.0

@@ -96,7 +96,8 @@ def launch_law(pusher: Pusher, *, friction: float = 0.6, height: float = 0.1, in
 
 
 def measured(speeds: Sequence[float | None], torques: Sequence[float | None] = (None,) * 4) -> Measured:
-    return Measured(0, DT, tuple(speeds), (0.0,) * 4, tuple(torques), (0,) * 4, (0.0,) * 4)
+    here = Measured(0, DT, tuple(speeds), (0.0,) * 4, tuple(torques), (0,) * 4, (0.0,) * 4)
+    return here._replace(torque_ages_ns=(0,) * 4)
 
 
 def ramp(law: LaunchLaw, rate: float, cycles: int, *, braking: bool = False) -> list[tuple[JointCommand, ...]]:

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.core.engine import Engine
 from gateway.types import ZERO_TWIST, Mode, Twist
-from tests.launches import Launch, best, equal_torques, robot
+from tests.launches import FRICTIONS, Launch, best, equal_torques, robot
 from tests.world import World
 
 SLIP = 0.02  # of the speed
@@ -71,6 +71,19 @@ def test_a_launch_that_slips_backs_off_and_learns(eighth: int) -> None:
     ahead = [hypot(*out.trace.setpoint[:2]) - speed for out, speed in zip(run.outputs, run.speeds, strict=True)]
     assert max(ahead[settled]) < 0.12  # m/s; the setpoint does not go on from where the slip left it
     assert run.odometry_error < 0.015
+
+
+@pytest.mark.parametrize("eighth", range(4))
+def test_motors_that_are_told_nothing_but_a_speed_slip_when_they_do(eighth: int) -> None:
+    """Their torque comes late, and each takes another share of the push than its load's: neither is slip."""
+    for friction in FRICTIONS:
+        gripping = Launch("omni4_vesc", eighth, friction, told=friction)
+        assert "launch_slipped" not in gripping.codes
+        assert gripping.slip < 0.07  # behind a ramp their loops overshoot
+    for friction, told in ((0.3, 0.8), (0.5, 0.8)):
+        slipping = Launch("omni4_vesc", eighth, friction, told=told)
+        assert "launch_slipped" in slipping.codes
+        assert 0.65 * friction < slipping.law.friction < 1.4 * friction
 
 
 def test_what_was_learned_is_in_the_snapshot() -> None:
