@@ -169,6 +169,16 @@ def test_a_stop_that_nobody_commanded_is_not_made_longer() -> None:
     assert (index - begun) / run.config.loop.rate < 1.0 / 9.0 + 9.0 / 75.0 + 0.05
 
 
+def test_on_a_slippery_floor_silence_ends_at_rest() -> None:
+    """Wheels that slip are light: with the gain that suits the robot they swung without end, and it slid on."""
+    run = Launch("omni4", 1, 0.1, told=None, seconds=0.4, stop=False)
+    for _ in range(round(3.0 * run.config.loop.rate)):
+        run.loop.cycle()
+    assert run.loop.engine.mode is Mode.IDLE
+    assert hypot(*run.plant.twist[:2]) < 0.01
+    assert max(map(abs, run.plant.rates)) < 0.1
+
+
 def test_what_the_floor_gives_is_held_against_the_motors_too() -> None:
     """0.8 forward: without a bound on their torque the rear wheels would be asked for 7.5 N m of the 4.5 they have."""
     config = robot("omni4", 0.8)
