@@ -4,9 +4,10 @@ How this works
 --------------
 A wheel that slips or is lifted is lighter than one that carries its share of the robot, so a gain that suits the robot
 may be too much for it: in every cycle it overshoots by more than it was off, and swings without end, and a robot on
-such wheels slides on instead of coming to rest. So an error that turns round from one cycle to the next takes gain from
-the loop, until it no longer does, and the gain comes back within RECOVERY. A loop that takes back no more than all of
-an error in a cycle (`gateway.core.examination`) never turns one round.
+such wheels slides on instead of coming to rest. So where a wheel is to stand, an error that turns round from one cycle
+to the next takes gain from the loop, until it no longer does, and the gain comes back within RECOVERY. A loop that
+takes back no more than all of an error in a cycle (`gateway.core.examination`) never turns one round. While the robot
+drives its other wheels lead it, and by the swings slip is seen (`gateway.core.slip`).
 """
 
 from typing import Final
@@ -46,7 +47,7 @@ class SpeedLoop:
             return 0.0
         error = setpoint - measured
         integral = self._integral + self._ki * error * dt
-        torque = self._gain(error, dt) * error + integral + feed_forward
+        torque = self._gain(error, dt, stands=setpoint == 0.0) * error + integral + feed_forward
         bound = self._max_torque if limit is None else min(limit, self._max_torque)
         if -bound <= torque <= bound:
             self._integral = integral
@@ -55,11 +56,11 @@ class SpeedLoop:
             self._integral = integral
         return bound if torque > 0.0 else -bound
 
-    def _gain(self, error: float, dt: float) -> float:
-        """N m per rad/s: less while the error turns round in each cycle."""
+    def _gain(self, error: float, dt: float, *, stands: bool) -> float:
+        """N m per rad/s: less while the error of a wheel that is to stand turns round in each cycle."""
         before, self._before = self._before, error
         kp, least = self._kp, SWING * self._max_torque
-        if error * before < 0.0 and kp * abs(error) > least and kp * abs(before) > least:
+        if stands and error * before < 0.0 and kp * abs(error) > least and kp * abs(before) > least:
             self._share = max(LEAST_GAIN, CALMER * self._share)
         elif self._share < 1.0:
             self._share = min(1.0, self._share + dt / RECOVERY)
