@@ -27,7 +27,7 @@ class SpeedLoop:
         self._max_torque = max_torque
         self._integral = 0.0  # N m
         self._share = 1.0  # of the gain
-        self._before = 0.0  # rad/s, the error of the last cycle
+        self._before = 0.0  # rad/s, the error of the last cycle if it was to stand
 
     def torque(
         self,
@@ -58,9 +58,9 @@ class SpeedLoop:
 
     def _gain(self, error: float, dt: float, *, stands: bool) -> float:
         """N m per rad/s: less while the error of a wheel that is to stand turns round in each cycle."""
-        before, self._before = self._before, error
+        before, self._before = self._before, error if stands else 0.0
         kp, least = self._kp, SWING * self._max_torque
-        if stands and error * before < 0.0 and kp * abs(error) > least and kp * abs(before) > least:
+        if error * before < 0.0 and kp * abs(error) > least and kp * abs(before) > least:
             self._share = max(LEAST_GAIN, CALMER * self._share)
         elif self._share < 1.0:
             self._share = min(1.0, self._share + dt / RECOVERY)
