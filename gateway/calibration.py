@@ -19,6 +19,8 @@ from gateway.commander import ANSWER_TIMEOUT_S, REST_TIMEOUT_S, objection, rest,
 from gateway.config import RobotConfig
 from gateway.control.launch import FRICTION, LEAST_FRICTION, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
+from gateway.core.settings import SPEED_OVERRIDE
+from gateway.types import ZERO_TWIST, Mode, Status
 
 FIRST: Final = 0.5  # of what the robot file says: where the first round along an axis begins
 COARSE: Final = 1.25  # from step to step, in the first round
@@ -69,7 +71,8 @@ class Plans:
         if not self._law.features.grip:
             raise CalibrationError("the robot file has no [robot.grip], which is what this finds the friction for")
         self._limits = config.limits
-        self.first = max(LEAST_FRICTION, FIRST * self._law.settings[FRICTION])
+        self.given = self._law.settings[FRICTION]  # by the robot file
+        self.first = max(LEAST_FRICTION, FIRST * self.given)
 
     def launch(self, axis: Axis, friction: float) -> Launch:
         """Raises LimitError."""
@@ -162,11 +165,15 @@ def _pair(out: Launch, drive: Callable[[Launch], float]) -> list[float]:
 
 
 class Driver:
-    """Does the launches of a robot that runs, as a commander like any other; one thread."""
+    """Does the launches of a robot that runs, as a commander like any other; one thread.
 
-    def __init__(self, client: Client, source: str) -> None:
+    `given`: the friction of its robot file.
+    """
+
+    def __init__(self, client: Client, source: str, given: float) -> None:
         self._client = client
         self._source = source
+        self._given = given
 
     def __call__(self, launch: Launch) -> float:
         """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError."""
@@ -176,18 +183,35 @@ class Driver:
             raise CalibrationError(f"setting {FRICTION} = {launch.friction:.3f}: {answer.reason}")
         if not start(client, source):
             raise CalibrationError(f"does not start: {objection(client, source) or 'it drove too late'}")
+        self._whole()
         vx, vy = (launch.speed, 0.0) if launch.axis is Axis.X else (0.0, launch.speed)
         reason = stream(client, source, vx, vy, 0.0, seconds=launch.seconds)
         if not rest(client, source):
             raise CalibrationError(f"did not come to rest within {REST_TIMEOUT_S:g} s")
         if reason is not None:
             raise CalibrationError(reason)
-        return self._friction()
-
-    def _friction(self) -> float:
-        """As the robot takes it to be, after it came to rest."""
-        state = self._client.status(ANSWER_TIMEOUT_S)
-        friction = None if state is None else state.status.chassis.get(FRICTION)
+        friction = self._whole().chassis.get(FRICTION)
         if not isinstance(friction, float):
             raise CalibrationError(f"the robot does not tell its {FRICTION}")
         return friction
+
+    def put_back(self) -> None:
+        """After the last launch, however it ended: the robot goes by the friction of its file, as after its start.
+
+        What was tried last may be far more than the floor gives.
+        """
+        self._client.send_twist(*ZERO_TWIST, source=self._source)
+        self._client.set(FRICTION, self._given, ANSWER_TIMEOUT_S)
+
+    def _whole(self) -> Status:
+        """Of a robot with all its motors and all its speed: no other is launched. Raises CalibrationError."""
+        state = self._client.status(ANSWER_TIMEOUT_S)
+        if state is None:
+            raise CalibrationError(f"the robot did not tell its state within {ANSWER_TIMEOUT_S:g} s")
+        status = state.status
+        if status.mode is Mode.DEGRADED:
+            raise CalibrationError(f"mode {status.mode.value}: {status.reason}")
+        for setting in status.settings:
+            if setting.name == SPEED_OVERRIDE.name and setting.value < 1.0:
+                raise CalibrationError(f"{setting.name} = {setting.value:g}: must be 1 for it")
+        return status

@@ -3,7 +3,8 @@
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import date
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -12,6 +13,8 @@ import tomlkit
 import typer
 from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable
 
 from gateway.calibration import CalibrationError, Driver, Found, Launch, Plans, find
 from gateway.chassis.omni import OmniRobot
@@ -19,7 +22,8 @@ from gateway.cli.operate import EXIT_REFUSED, Connect, open_client
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.client import Client
 from gateway.commander import config_of
-from gateway.config import RobotConfig, load, parse, read
+from gateway.config import ConfigError, RobotConfig, load, parse
+from gateway.control.launch import LEAST_FRICTION
 
 ANSWER = "yes"
 
@@ -51,6 +55,8 @@ def slip(  # noqa: PLR0917  # a command line: each parameter is an option with a
     config, _ = load(file)
     try:
         plans = Plans(config)
+        surface = words_of(surface)
+        rehearse(file, surface)
         with open_client(str(file), connect, zero_on_exit=True) as client:
             _same_robot(client, config, file)
             _ask(config.robot.name, plans.furthest())
@@ -80,7 +86,7 @@ def _same_robot(client: Client, config: RobotConfig, file: Path) -> None:
 
 def _ask(name: str, furthest: float) -> None:
     """Only a person lets it move. Raises CalibrationError for any other answer than yes."""
-    if not sys.stdin.isatty():
+    if sys.stdin is None or not sys.stdin.isatty():  # None: it was closed
         raise CalibrationError("a person has to let it move: run it on a terminal")
     errors.print(
         f"{name} will launch forward, back, left and right, up to {furthest:.1f} m from where it stands, harder each "
@@ -94,7 +100,7 @@ def _ask(name: str, furthest: float) -> None:
 
 def _find(plans: Plans, client: Client, source: str, rounds: int) -> list[Found]:
     """All rounds; what is going on is shown on a terminal."""
-    drive = Driver(client, source)
+    drive = Driver(client, source, plans.given)
     columns = (SpinnerColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress:
         task = progress.add_task("", total=None)
@@ -106,32 +112,92 @@ def _find(plans: Plans, client: Client, source: str, rounds: int) -> list[Found]
         def told(one: Found) -> None:
             progress.print(f"{one.axis.value}: {one.friction:.3f}, slipped when taken for {one.taken_for:.3f}")
 
-        return find(plans, launched, rounds, told)
+        try:
+            return find(plans, launched, rounds, told)
+        finally:
+            drive.put_back()
+
+
+def words_of(surface: str) -> str:
+    """What the robot stands on, in one line. Raises CalibrationError for what no comment can say."""
+    words = " ".join(surface.split())
+    if not words or not words.isprintable():
+        raise CalibrationError(f"surface = {surface!r}: must say, in printable letters, what the robot stands on")
+    return words
 
 
 def summary(found: Sequence[Found], surface: str, day: date) -> tuple[float, str]:
-    """The friction to go by, the least that was found, rounded down; and where, when and how sure it is."""
+    """The friction to go by, the least that was found, rounded down; and where, when and how sure it is.
+
+    Raises CalibrationError for less than a robot file can say.
+    """
     values = [one.friction for one in found]
     least, most = min(values), max(values)
+    if least < LEAST_FRICTION:
+        raise CalibrationError(f"the floor gives a friction of {least:.3f}, and less than {LEAST_FRICTION:g} is none")
     note = f"{surface}, {day.isoformat()}: {least:.3f} to {most:.3f} in {len(values)} rounds"
     return int(least * 100.0) / 100.0, note
 
 
+def rehearse(file: Path, surface: str) -> None:
+    """Everything of `write` but the last step, before the robot moves for it. Raises CalibrationError."""
+    with _draft(file, LEAST_FRICTION, surface):
+        pass
+
+
 def write(file: Path, friction: float, note: str) -> None:
-    """Puts it into the robot file, everything else as it was; whole or not at all. Raises ConfigError."""
-    document = tomlkit.parse(read(file))
-    grip = document["robot"]["grip"]
-    grip["friction"] = friction
-    grip["friction"].comment(" ".join(note.split()))
-    text = tomlkit.dumps(document)
-    parse(text, str(file))
-    place = file.resolve()
-    with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=place.parent, delete=False) as new:
-        new.write(text)
-        new.flush()
-        os.fsync(new.fileno())
-    Path(new.name).chmod(place.stat().st_mode & 0o7777)
-    Path(new.name).replace(place)
+    """Puts it into the robot file, everything else as it was; whole or not at all. Raises CalibrationError."""
+    try:
+        with _draft(file, friction, note) as draft:
+            draft.replace(file.resolve())
+    except CalibrationError as error:
+        raise CalibrationError(f"friction = {friction} ({note}) was found, but {error}") from None
+
+
+@contextmanager
+def _draft(file: Path, friction: float, note: str) -> Iterator[Path]:
+    """The changed robot file, beside it and with its rights; gone at the end unless it was moved."""
+    try:
+        place = file.resolve()
+        text = _changed(place, friction, note)
+        if not os.access(place, os.W_OK):
+            raise CalibrationError(f"{file} cannot be written: it is read-only")
+        with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as new:
+            try:
+                new.write(text.encode())
+                new.flush()
+                os.fsync(new.fileno())
+                _as_of(place, new.fileno())
+                yield Path(new.name)
+            finally:
+                Path(new.name).unlink(missing_ok=True)
+    except OSError as error:
+        raise CalibrationError(f"{file} cannot be written: {error.strerror}") from None
+
+
+def _changed(file: Path, friction: float, note: str) -> str:
+    """The text of the robot file with this friction; its line ends are kept. Raises CalibrationError, OSError."""
+    try:
+        document = tomlkit.parse(file.read_bytes().decode())
+        robot = document["robot"]
+        grip = robot["grip"]
+        grip["friction"] = friction
+        # Within an inline table a comment would swallow the rest: it goes behind the whole.
+        lines = [one for one in (robot, grip) if isinstance(one, InlineTable)] or [grip["friction"]]
+        lines[0].comment(note)
+        text = tomlkit.dumps(document)
+        parse(text, str(file))
+    except (ConfigError, TOMLKitError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"robot.grip.friction cannot be changed in it: {error}") from None
+    return text
+
+
+def _as_of(file: Path, new: int) -> None:
+    """Rights and, as far as whoever calls may give it away, owner of another file."""
+    was = file.stat()
+    os.fchmod(new, was.st_mode & 0o7777)
+    with suppress(PermissionError):
+        os.fchown(new, was.st_uid, was.st_gid)
 
 
 def wheels_of(config: RobotConfig, friction: float) -> list[WheelGrip]:

@@ -36,6 +36,7 @@ class Measured(NamedTuple):
     heading: float | None = None  # rad, as a gyro tells it: from any zero, wrapped or not
     attitude: Attitude | None = None
     ranges: tuple[float | None, ...] = ()  # m
+    torque_ages_ns: tuple[int | None, ...] = ()  # of the torques: many are told more seldom than speed
 
 
 class JointCommand(Setpoint):

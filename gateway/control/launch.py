@@ -121,8 +121,15 @@ class LaunchLaw:
         self._whole = True
         self._driven: Rates | None = None  # the last setpoint; None: nothing to tell an acceleration from
         self._told: Told | None = None  # in the last cycle; None: nothing was pushed
-        self._turning: Sequence[float] = self._still  # rad/s of the last setpoint
-        self._slip = LaunchSlip(grip, radii=radii, losses=losses, top_speeds=top_speeds, period=speeds.period)
+        self._turning: Sequence[float] | None = None  # rad/s of the last setpoint; None: it was put elsewhere since
+        self._slip = LaunchSlip(
+            grip,
+            radii=radii,
+            losses=losses,
+            top_speeds=top_speeds,
+            led=[pusher.feed_forward or pusher.winding is not None for pusher in pushers],
+            period=speeds.period,
+        )
         self._held = 0.0  # s for which the torques stay bounded
         self._stepped = False  # voltages were told in the last cycle
         self._followed = True  # no wheel was far from its setpoint under voltages since rest
@@ -197,13 +204,14 @@ class LaunchLaw:
         speeds, share = self._speeds.speeds_at(setpoint, measured.angles, braking=braking)
         if share < 1.0:
             setpoint = (setpoint[0] * share, setpoint[1] * share, setpoint[2] * share)
-        before, expected = self._told, self._expected(measured)
+        before, expected = self._told, self._expected(measured, speeds)
         events: tuple[Event, ...] = ()
         if before is not None and before.launch and setpoint[2] == 0.0:
             events = self._backed_off(before, expected, measured)
             if events:  # the setpoint went on while wheels slipped: it goes on from how they turn
                 back = _turned(speeds, measured.speeds)
                 share, speeds = share * back, [speed * back for speed in speeds]
+                expected = speeds
                 setpoint = (setpoint[0] * back, setpoint[1] * back, setpoint[2] * back)
         else:
             self._slip.forget()
@@ -211,7 +219,7 @@ class LaunchLaw:
         self._turning = speeds
         if self._steps:
             speeds, back = self._handed_over(setpoint, speeds, measured.speeds)
-            share *= back
+            share, expected = share * back, expected if back == 1.0 else speeds
         bounds = self._bounds_now(told, before, speeds, expected, measured, braking=braking)
         if told is None and bounds is self._free:
             commands = _velocities(speeds)
@@ -236,7 +244,7 @@ class LaunchLaw:
 
     def forget_told(self) -> None:
         """The next setpoint tells of no acceleration."""
-        self._driven = self._told = None
+        self._driven = self._told = self._turning = None
         self._stepped = False
         self._held = 0.0
 
@@ -302,15 +310,17 @@ class LaunchLaw:
         bears = tuple([rest + shift * much for rest, shift in zip(self._bears, push.shifts)])
         return _made((torques, felt, rates, bears, launch))
 
-    def _expected(self, measured: Measured) -> Sequence[float]:
-        """Rad/s that the wheels had when they were measured, by what they were told before."""
-        told, dt = self._told, measured.dt
+    def _expected(self, measured: Measured, speeds: Sequence[float]) -> Sequence[float]:
+        """Rad/s that the wheels had when they were measured, by what they were told before; `speeds`: of now."""
+        told, turning, dt = self._told, self._turning, measured.dt
+        if turning is None:
+            return speeds
         if told is None:
-            return self._turning
+            return turning
         period_ns = dt * 1e9
         return [
             speed if age_ns is None else speed - rate * (age_ns * 1e-9 if age_ns < period_ns else dt)
-            for speed, rate, age_ns in zip(self._turning, told.rates, measured.ages_ns)
+            for speed, rate, age_ns in zip(turning, told.rates, measured.ages_ns)
         ]
 
     def _bounds_now(

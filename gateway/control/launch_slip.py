@@ -4,14 +4,17 @@ How this works
 --------------
 Wheels that slip under speed control turn about as they are told. But the floor then pushes a wheel back by less than
 its share of the push, though it is not behind its setpoint, as one would be whose motor cannot. Where no torque is told
-the wheel must run ahead. What the floor gave is the impulse of the motors less what the wheels took for themselves: a
-speed loop that has lost the inertia of the robot swings, so that no single torque tells.
+the wheel must run ahead. A motor that is told nothing but its speed brings its torque late, and how such wheels share a
+push is up to their speed loops: of those only the push of all of them tells, against what the wheels have gained.
+What the floor gave is the impulse of the motors less what the wheels took for themselves: a speed loop that has lost
+the inertia of the robot swings, so that no single torque tells.
 Only while the robot speeds up straight on: in a curve shares change all the time, and of one that is braked it is not
 known as well what resists it. And once the friction is taken for less the wheels have time to grip again, or the end of
 one slip would be taken for another. Nor after a late cycle, which is no slip either.
 """
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import Final, NamedTuple
 
 from gateway.control.drive_law import Measured
@@ -21,7 +24,7 @@ SHORT: Final = 0.2  # of its grip, by which a wheel that slips is pushed back le
 BEHIND: Final = 0.01  # of top speed: a wheel further behind its setpoint lacks torque
 AHEAD: Final = 0.01  # of top speed, by which a wheel that slips runs ahead, where no torque is told
 LOOK_TIME: Final = 0.04  # s, from one look to the next
-TOLD: Final = 0.4  # of the cycles in which a torque must be another one: many tell it more seldom than speed
+TOLD: Final = 0.4  # of the cycles in which a torque must be a new one: many tell it more seldom than speed
 PAUSE: Final = 0.12  # s, after one that found slip, and after a late cycle
 LATE: Final = 1.5  # periods of the loop: meanwhile the motors went on with what they were told before
 MOTOR_SHARE: Final = 0.98  # of a motor's torque that a launch takes; the rest is for its speed control and friction
@@ -59,10 +62,18 @@ class LaunchSlip:
     """State owner: what the wheels did in this look at them, one after the other while there is a launch."""
 
     def __init__(
-        self, grip: Grip, *, radii: Sequence[float], losses: Losses, top_speeds: Sequence[float], period: float
+        self,
+        grip: Grip,
+        *,
+        radii: Sequence[float],
+        losses: Losses,
+        top_speeds: Sequence[float],
+        led: Sequence[bool],
+        period: float,
     ) -> None:
-        """`radii` m; `top_speeds` rad/s; `period` s, of the loop."""
+        """`radii` m; `top_speeds` rad/s; `led`: motors that are told their share; `period` s, of the loop."""
         self._grip = grip
+        self._led = tuple(led)
         self._radii = tuple(radii)
         self._losses = losses
         self._top_speeds = tuple(top_speeds)
@@ -71,6 +82,7 @@ class LaunchSlip:
         self._pause = 0.0  # s, until the next look
         self._given: list[float] = []  # N m s meant for wheel and floor
         self._ahead: list[float] = []  # rad
+        self._anew: list[int] = []  # cycles with a torque that was told since the one before
         self._begin((), ())
 
     def look(self, told: Told, expected: Sequence[float], measured: Measured, friction: float) -> float | None:
@@ -90,6 +102,11 @@ class LaunchSlip:
         dt = measured.dt
         self._time += dt
         self._torques.append(measured.torques)
+        fresh_ns = dt * 1e9
+        self._anew = [
+            count + int(age_ns is not None and age_ns <= fresh_ns)
+            for count, age_ns in zip(self._anew, measured.torque_ages_ns)
+        ]
         self._given = [all_ + dt * torque for all_, torque in zip(self._given, told.torques)]
         self._ahead = [
             all_ + dt * (0.0 if is_ is None else is_ - due)
@@ -104,6 +121,7 @@ class LaunchSlip:
         self._begun = tuple(speeds), tuple(expected)  # rad/s that the wheels turned, and were to
         self._torques: list[tuple[float | None, ...]] = []  # N m told
         self._given, self._ahead = [0.0] * count, [0.0] * count
+        self._anew = [0] * count
 
     def forget(self) -> None:
         """There is no launch."""
@@ -117,8 +135,11 @@ class LaunchSlip:
         pushed = [self._pushed(index, first, now) for index, (first, now) in enumerate(zip(begun, measured.speeds))]
         felt = self._driven(pushed, told.felt)
         slips, most, given = measured.slipping, 0.0, 0.0
-        for index, (first, now, torque) in enumerate(zip(begun, measured.speeds, pushed)):
-            push = (self._given[index] - self._losses.inertia * (expected[index] - due[index])) / self._time
+        meant = [
+            (impulse - self._losses.inertia * (then - before)) / self._time
+            for impulse, then, before in zip(self._given, expected, due)
+        ]
+        for index, (first, now, torque, push) in enumerate(zip(begun, measured.speeds, pushed, meant)):
             if first is None or now is None or push * now < 0.0 or push * first < 0.0:
                 continue
             sign = 1.0 if push > 0.0 else -1.0
@@ -128,8 +149,10 @@ class LaunchSlip:
                 continue
             pressed = self._pressed(index, felt)
             most = max(most, sign * torque / pressed)
-            if ahead > -BEHIND and sign * (push - torque) > SHORT * friction * pressed:
+            if self._led[index] and ahead > -BEHIND and sign * (push - torque) > SHORT * friction * pressed:
                 slips, given = True, max(given, sign * torque / pressed)
+        if not all(self._led) and None not in pushed:
+            slips = slips or self._short(pushed, meant, told.felt, self._gained(measured.speeds, expected), friction)
         if not slips:
             return None
         self._pause = PAUSE
@@ -138,14 +161,13 @@ class LaunchSlip:
 
     def _pushed(self, index: int, first: float | None, now: float | None) -> float | None:
         """N m that came to the floor, in the mean; None: the torque is not told, or not often enough."""
-        told, anew, last = 0.0, 0, None
+        told, count = 0.0, len(self._torques)
         for torques in self._torques:
             torque = torques[index]
             if torque is None:
                 return None
-            told, anew, last = told + torque, anew + (torque != last), torque
-        count = len(self._torques)
-        if first is None or now is None or anew < TOLD * count:
+            told += torque
+        if first is None or now is None or self._anew[index] < TOLD * count:
             return None
         mean, (inertia, friction, drag) = 0.5 * (first + now), self._losses
         drag = drag if mean > 0.0 else -drag if mean < 0.0 else 0.0
@@ -160,6 +182,35 @@ class LaunchSlip:
             ax, ay = ax + torque / radius * x, ay + torque / radius * y
         mass = self._grip.masses[0]
         return (ax / mass, ay / mass, told[2])
+
+    def _gained(self, speeds: Sequence[float | None], expected: Sequence[float]) -> float:
+        """Which part of what they were to gain the wheels have gained, taken together."""
+        begun, due = self._begun
+        along = square = 0.0
+        for first, now, before, then in zip(begun, speeds, due, expected):
+            if first is not None and now is not None:
+                along += (now - first) * (then - before)
+                square += (then - before) * (then - before)
+        return along / square if square > 0.0 else 0.0
+
+    def _short(
+        self,
+        pushed: Sequence[float | None],
+        meant: Sequence[float],
+        felt: Three,
+        gained: float,
+        friction: float,
+    ) -> bool:
+        """Whether all wheels together pushed less than it takes to gain so much of what was meant, by far."""
+        size = sqrt(felt[0] * felt[0] + felt[1] * felt[1])
+        if size == 0.0:
+            return False
+        x, y = felt[0] / size, felt[1] / size
+        (ax, ay, _), (bx, by, _) = self._driven(meant, felt), self._driven(pushed, felt)
+        most = 0.0
+        for index, (radius, (row_x, row_y, _)) in enumerate(zip(self._radii, self._grip.rows)):
+            most += friction * self._pressed(index, felt) / radius * abs(row_x * x + row_y * y)
+        return gained * (ax * x + ay * y) - (bx * x + by * y) > SHORT * most / self._grip.masses[0]
 
     def _pressed(self, index: int, gained: Three) -> float:
         """N m with which a wheel would slip per unit of friction; a trifle for one that lifts."""

@@ -320,6 +320,7 @@ class Engine:
                 readings.heading and readings.heading.angle,
                 readings.attitude,
                 readings.ranges,
+                measured.torque_ages_ns,
             )
         )
 

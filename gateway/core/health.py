@@ -191,9 +191,13 @@ class HealthMonitor:
     def _detected(self, index: int, sample: Sample) -> Fault | None:
         for kind, detector in self._detectors[index]:
             text = detector.look(sample)
-            if text is not None:
+            if text is not None and not (kind is FaultKind.RUNAWAY and self._is_dragged(index)):
                 return Fault(kind, self._names[index], text, latched=True)
         return None
+
+    def _is_dragged(self, index: int) -> bool:
+        """Whether it is known that whatever turns its wheel, this motor does not: it is none to release all others."""
+        return (FaultKind.TORQUE_LOST, self._names[index]) in self._latched
 
     def _blamed(self, index: int, kind: FaultKind, blamed: tuple[int, str]) -> Fault | None:
         """What was found by looking at all motors together."""

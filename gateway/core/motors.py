@@ -68,7 +68,8 @@ class Motors:
         self.feedback = tuple(feedbacks)
         ages_ns = tuple([feedback.age_ns for feedback in feedbacks])
         known = tuple(speeds), tuple(positions), tuple(torques), ages_ns
-        return _measured((now_ns, dt, *known, (), None, False, None, None, ()))
+        torque_ages_ns = tuple([feedback.torque_age_ns for feedback in feedbacks])
+        return _measured((now_ns, dt, *known, (), None, False, None, None, (), torque_ages_ns))
 
     def command(self, commands: Sequence[JointCommand], measured: Measured) -> tuple[CanFrame, ...]:
         """Frames of this cycle."""

@@ -75,7 +75,9 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.control.limits.TwistLimiter": frozenset(
         {"_acceleration", "_course", "_jerk", "_rho", "_turn_x", "_turn_y", "_velocity", "_wheels", "_zero"}
     ),
-    "gateway.control.launch_slip.LaunchSlip": frozenset({"_grip", "_longest", "_losses", "_radii", "_top_speeds"}),
+    "gateway.control.launch_slip.LaunchSlip": frozenset(
+        {"_grip", "_led", "_longest", "_losses", "_radii", "_top_speeds"}
+    ),
     "gateway.control.launch.LaunchLaw": frozenset(
         {
             "_acceleration",

@@ -12,6 +12,7 @@ metres. A memory of some blocks holds how much is missing, and how much would be
 
 A load, a slope, a push, a wheel on ice: something is missing then as well, but not along one wheel and not as much as
 that wheel tells. What another mass and another inertia than the robot file's would explain is taken off before.
+A robot that stands tells nothing either: what a speed loop still pushes then, dry friction may hold.
 Not seen: a motor that is asked for nothing (so none of its torque can be missing), and which of two it is where both
 are lost at once. Not told apart: a wheel that is braked by just as much as its motor pushes.
 """
@@ -113,9 +114,11 @@ class TorqueLossDetector:
             return None
         if self._time < BLOCK:
             return None
-        self._take(before, twist)
+        stood = self._stands(before, twist)
+        if not stood:
+            self._take(before, twist)
         self._begin(twist)
-        suspect = self._suspect()
+        suspect = None if stood else self._suspect()
         if suspect is None:
             return None
         told = torques[suspect] or 0.0
@@ -125,6 +128,14 @@ class TorqueLossDetector:
         self._before = twist
         self._time = 0.0
         self._impulses = [0.0] * len(self._least)
+
+    def _stands(self, before: Twist, after: Twist) -> bool:
+        """Whether no wheel turns as fast as is needed to know what dry friction does."""
+        for twist in (before, after):
+            for row in self._mechanics.rows:
+                if abs(dot(row, twist)) >= DRAG_SPEED:
+                    return False
+        return True
 
     def _take(self, before: Twist, after: Twist) -> None:
         """The balance of a block."""

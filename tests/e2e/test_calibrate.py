@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 import tomllib
@@ -10,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from gateway.client import Client
 from gateway.config import parse
-from tests.e2e.robot_process import RobotProcess, standing
+from gateway.control.launch import FRICTION
+from gateway.core.settings import SPEED_OVERRIDE
+from tests.e2e.robot_process import RobotProcess, faster_than, standing
 from tests.gateway.test_calibration import gripping
 from tests.world import robot_text
 
@@ -24,15 +28,26 @@ def command(robot: RobotProcess, file: Path) -> list[str]:
     return [*said, *("--rounds", "1", "--json", "--connect", robot.endpoint)]
 
 
-def answered(robot: RobotProcess, file: Path, answer: str) -> tuple[int, dict[str, object]]:
-    """Exit code and document, of a call whose standard input is a terminal."""
+def answered(
+    robot: RobotProcess, file: Path, answer: str, *, interrupted: bool = False
+) -> tuple[int, dict[str, object]]:
+    """Exit code and document, of a call whose standard input is a terminal. `interrupted`: while the robot moves."""
     person, terminal = pty.openpty()
     with subprocess.Popen(command(robot, file), stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as call:
         os.write(person, f"{answer}\n".encode())
+        if interrupted:
+            robot.await_state(faster_than(0.1), timeout=60.0)
+            call.send_signal(signal.SIGINT)
         said, _ = call.communicate(timeout=180)
     os.close(terminal)
     os.close(person)
     return call.returncode, json.loads(said.splitlines()[-1])
+
+
+def setting(client: Client, name: str) -> float:
+    state = client.status()
+    assert state is not None
+    return next(one.value for one in state.status.settings if one.name == name)
 
 
 def here(robot: RobotProcess) -> tuple[float, float]:
@@ -56,11 +71,23 @@ def test_slip(tmp_path: Path, free_port: int) -> None:
         assert (code, document) == (1, {"ok": False, "reason": "nobody let it move"})
         assert here(robot) == (0.0, 0.0)
         assert file.read_text() == before
+        assert robot.client.set(SPEED_OVERRIDE.name, 0.5).ok
+        code, document = answered(robot, file, "yes")
+        assert (code, document) == (1, {"ok": False, "reason": "speed_override = 0.5: must be 1 for it"})
+        assert here(robot) == (0.0, 0.0)
+        assert setting(robot.client, FRICTION) == 0.8
+        assert robot.client.set(SPEED_OVERRIDE.name, 1.0).ok
+        code, document = answered(robot, file, "yes", interrupted=True)
+        assert (code, document) == (1, {"ok": False, "reason": "interrupted"})
+        here(robot)
+        assert setting(robot.client, FRICTION) == 0.8
+        assert file.read_text() == before
         code, document = answered(robot, file, "yes")
         assert (code, document["ok"]) == (0, True)
         x, y = here(robot)
         assert abs(x) < 0.5
         assert abs(y) < 0.5
+        assert setting(robot.client, FRICTION) == 0.8  # what was found counts from the next start on
         robot.end()
         assert robot.verify().identical
     text = file.read_text()

@@ -1,12 +1,17 @@
 """Finding how the floor grips, by launches of the real engine on a floor that is known."""
 
+import os
+import tomllib
 from collections.abc import Callable, Mapping
+from datetime import date
+from pathlib import Path
 from types import MappingProxyType
 
 import pytest
 
 from gateway.calibration import Axis, CalibrationError, Found, Launch, Plans, find
-from gateway.config import parse
+from gateway.cli import calibrate
+from gateway.config import load, parse
 from gateway.control.launch import FRICTION
 from gateway.types import ZERO_TWIST, Facts, Request, RequestKind, Twist
 from tests.world import World, robot_text
@@ -140,3 +145,91 @@ def test_late_cycles_are_no_slip(first: int, gap: int) -> None:
     robot = Robot(0.3)
     launch = plans().launch(Axis.Y, 0.2)
     assert robot.drive(launch, late={first: 30, first + gap: 30}) == launch.friction
+
+
+# what it found, in the robot file
+
+NOTE = "oak floor, 2026-01-02: 0.426 to 0.450 in 6 rounds"
+WAYS_TO_SAY_IT = {
+    "table": lambda text: text.replace("[loop]", "[robot.grip]\nfriction = 0.8  # as was guessed\n\n[loop]", 1),
+    "inline": lambda text: text.replace("\n[robot.body]", "grip = { friction = 0.8 }  # guessed\n\n[robot.body]", 1),
+    "dotted": lambda text: text.replace("\n[robot.body]", "grip.friction = 8e-1\n\n[robot.body]", 1),
+    "quoted": lambda text: text.replace("[loop]", '["robot"."grip"]\n"friction" = 0.8\n\n[loop]', 1),
+}
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+@pytest.mark.parametrize("way", WAYS_TO_SAY_IT)
+def test_only_the_friction_of_the_file_is_changed(tmp_path: Path, way: str, ends: str) -> None:
+    file, link = tmp_path / "robot.toml", tmp_path / "linked.toml"
+    before = WAYS_TO_SAY_IT[way](robot_text("omni4")).replace("\n", ends)
+    file.write_bytes(before.encode())
+    file.chmod(0o640)
+    link.symlink_to(file)
+    calibrate.write(link, 0.42, NOTE)
+    after = file.read_bytes().decode()
+    told = [(old, new) for old, new in zip(before.split(ends), after.split(ends), strict=True) if old != new]
+    assert len(told) == 1
+    assert told[0][1].endswith(f"# {NOTE}")
+    assert tomllib.loads(after)["robot"]["grip"] == {"friction": 0.42}
+    load(file)
+    assert file.stat().st_mode & 0o7777 == 0o640
+    assert link.is_symlink()
+    assert {one.name for one in tmp_path.iterdir()} == {"robot.toml", "linked.toml"}
+
+
+def test_a_file_that_cannot_be_changed_is_known_before_the_robot_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(gripping(robot_text("omni4")))
+    before = file.read_text()
+    calibrate.rehearse(file, "oak floor")
+    assert [one.name for one in tmp_path.iterdir()] == ["robot.toml"]
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "fsync", full)
+        with pytest.raises(CalibrationError, match=r"robot\.toml cannot be written: No space left on device$"):
+            calibrate.rehearse(file, "oak floor")
+        with pytest.raises(CalibrationError, match=r"^friction = 0\.42 \(oak.*\) was found, but .*No space left"):
+            calibrate.write(file, 0.42, NOTE)
+    with monkeypatch.context() as guarded:  # for root nothing is read-only
+        guarded.setattr(os, "access", lambda *_: False)
+        with pytest.raises(CalibrationError, match="it is read-only"):
+            calibrate.rehearse(file, "oak floor")
+    assert [one.name for one in tmp_path.iterdir()] == ["robot.toml"]
+    assert file.read_text() == before
+    file.write_text(robot_text("omni4"))  # somebody else's change meanwhile
+    with pytest.raises(CalibrationError, match=r"^friction = 0\.42 .* was found, but robot\.grip\.friction cannot be"):
+        calibrate.write(file, 0.42, NOTE)
+
+
+def test_an_interrupted_change_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(gripping(robot_text("omni4")))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate.write(file, 0.42, NOTE)
+    assert [one.name for one in tmp_path.iterdir()] == ["robot.toml"]
+
+
+def test_a_surface_is_words_that_a_comment_can_say() -> None:
+    assert calibrate.words_of(' "Eiche"\n# geölt,\t床\u2028') == '"Eiche" # geölt, 床'
+    for surface in ("", " \n", "oak\x1b[31m", "oak\x00", "oak\x7f", "oak\udc80"):
+        with pytest.raises(CalibrationError, match=r"^surface = .*: must say, in printable letters"):
+            calibrate.words_of(surface)
+
+
+def test_less_than_a_file_can_say_is_no_result() -> None:
+    day = date(2026, 1, 2)
+    oil = [Found(Axis.X, 0.06, 0.08), Found(Axis.Y, 0.031, 0.05)]
+    with pytest.raises(CalibrationError, match=r"^the floor gives a friction of 0\.031, and less than 0\.05 is none$"):
+        calibrate.summary(oil, "oil", day)
+    assert calibrate.summary(oil[:1], "oil", day) == (0.06, "oil, 2026-01-02: 0.060 to 0.060 in 1 rounds")

@@ -149,6 +149,47 @@ def test_what_turning_takes_of_the_floor_the_translation_does_not_get(first: Sat
         assert moving.step(Twist(1, vy, 1), 0.1)[0] == pytest.approx((1.0, after, 1.0))
 
 
+class Floor:
+    """It gives each group another share of its limits, and all twists the same share for turning."""
+
+    def __init__(self, *, translation: float, rotation: float, turning: float = 0.0) -> None:
+        self._shares, self._turning = (translation, rotation), turning
+        self.beside: list[Rates] = []
+
+    def turning(self, rates: Rates) -> float:
+        return self._turning * rates[2]
+
+    def effort(self, rates: Rates, way: Rates, beside: Rates) -> float:
+        self.beside.append(beside)
+        return self._shares[way[2] != 0.0]
+
+
+@pytest.mark.parametrize(("translation", "rotation"), [(1.0, 0.25), (0.5, 1.0), (1.0, 1.0)])
+def test_each_group_gets_of_the_floor_what_is_left_beside_the_other(translation: float, rotation: float) -> None:
+    """The second beside what the first takes now, the first beside what the second cannot drop in this step."""
+    moving, floor = limiter(TRANSLATION, jerk=(50, 50, 200)), Floor(translation=translation, rotation=rotation)
+    before, rate = moving.rates, (0.0, 0.0, 0.0)
+    active: tuple[str, ...] = ()
+    for _ in range(12):  # before w x v is too much
+        floor.beside.clear()
+        now, active = moving.step(Twist(1, 0, 4), 0.01, ground=floor)
+        gained = [(b - a) / 0.01 for a, b in zip(before, now, strict=True)]
+        assert floor.beside[0] == pytest.approx((0.0, 0.0, max(0.0, rate[2] - 2.0)))
+        assert floor.beside[1] == pytest.approx((gained[0], 0.0, 0.0))
+        before, rate = now, (gained[0], gained[1], gained[2])
+    assert rate == pytest.approx((translation, 0.0, 4.0 * rotation))
+    assert ("grip" in active) is (min(translation, rotation) < 1.0)
+
+
+def test_the_floor_too_cuts_the_second_where_both_turn_too_fast() -> None:
+    moving = limiter(TRANSLATION, velocity=(0.1, 10, 10))
+    floor = Floor(translation=1.0, rotation=1.0, turning=0.5)  # up to 2 rad/s
+    for _ in range(3000):
+        rates, active = moving.step(Twist(0.1, 0, 4), 0.01, ground=floor)
+    assert rates == pytest.approx((0.1, 0.0, 2.0))
+    assert {"turning", "rotation_cut"} <= set(active)
+
+
 @pytest.mark.parametrize(
     ("first", "start", "target"),
     [

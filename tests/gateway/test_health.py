@@ -124,6 +124,18 @@ def test_what_each_detector_takes_from_a_motor(
     assert look(health, [RESTING])[:3] == found[:3], "latched"
 
 
+def test_a_motor_whose_torque_does_not_arrive_is_none_that_runs_away() -> None:
+    """The robot drags its wheel along, in an emergency stop too, in which the others must go on braking."""
+    health = monitor()
+    lost = (0, "the robot does not move by its torque")
+    health.assess([WELL, WELL], [RESTING] * 2, energised=True, powerless=lost, now_ns=0)
+    found = look(health, SAMPLES[FaultKind.RUNAWAY])
+    assert [fault.kind for fault in found.faults] == [FaultKind.TORQUE_LOST]
+    assert found[:3] == ((False, True), (False, True), (True, True))
+    health.reset()
+    assert FaultKind.RUNAWAY in {fault.kind for fault in look(health, SAMPLES[FaultKind.RUNAWAY]).faults}
+
+
 def test_a_twin_that_a_driver_tells_cannot_brake_its_motor() -> None:
     health = monitor()
     assess(health, WELL, WELL)

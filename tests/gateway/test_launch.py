@@ -96,7 +96,8 @@ def launch_law(pusher: Pusher, *, friction: float = 0.6, height: float = 0.1, in
 
 
 def measured(speeds: Sequence[float | None], torques: Sequence[float | None] = (None,) * 4) -> Measured:
-    return Measured(0, DT, tuple(speeds), (0.0,) * 4, tuple(torques), (0,) * 4, (0.0,) * 4)
+    here = Measured(0, DT, tuple(speeds), (0.0,) * 4, tuple(torques), (0,) * 4, (0.0,) * 4)
+    return here._replace(torque_ages_ns=(0,) * 4)
 
 
 def ramp(law: LaunchLaw, rate: float, cycles: int, *, braking: bool = False) -> list[tuple[JointCommand, ...]]:
@@ -145,6 +146,39 @@ def test_slip_is_looked_for_while_it_speeds_up_straight_on() -> None:
     assert slipping() == ["launch_slipped"]
     assert slipping(braked=True) == [], "what resists a wheel that brakes is not known as well"
     assert slipping(wz=0.5) == [], "in a curve the shares change all the time"
+
+
+HOSTED = Pusher(True, True, hosted=True, torque=4.5)
+
+
+def test_a_setpoint_that_was_put_elsewhere_is_told_to_speed_loops_on_the_host_at_once() -> None:
+    """As when a bus is back, in a curve: from how the wheels turn, and not for one more cycle from before."""
+    law = launch_law(HOSTED)
+    for setpoint, put in (((1.0, 0.0, 2.0), False), ((0.5, 0.0, 1.0), True), ((0.5, 0.0, 1.0), False)):
+        turning = law._speeds.speeds_at(setpoint, (), braking=True)[0]
+        if put:
+            law.forget_told()
+        law.ground(whole=True)
+        told = law.motion(setpoint, measured(turning), braking=True).commands
+    assert [one.value for one in told] == pytest.approx(turning)
+    law.forget_told()
+    told = law.motion((0.2, 0.0, 0.4), measured(turning), braking=True).commands
+    assert [one.value for one in told] == pytest.approx([0.4 * speed for speed in turning])
+
+
+def test_after_slip_speed_loops_on_the_host_go_on_from_how_the_wheels_turn() -> None:
+    law, friction = launch_law(HOSTED, inertia=0.004), 0.6
+    for cycle in range(30):
+        setpoint = (1.0 + 4.0 * DT * cycle, 0.0, 0.0)
+        speeds = law._speeds.speeds_at(setpoint, (), braking=False)[0]
+        law.ground(whole=True)
+        turning = [0.992 * speed for speed in speeds]
+        motion = law.motion(setpoint, measured(turning, [0.2 + 0.001 * cycle] * 4), braking=False)
+        if motion.events:
+            break
+    assert law.friction < friction
+    assert motion.share == pytest.approx(0.992)
+    assert [one.value for one in motion.commands] == pytest.approx(turning)
 
 
 def test_a_stop_is_not_limited_and_pushes_no_more_than_the_floor_gives() -> None:
@@ -241,9 +275,10 @@ class Motors:
                 self.speeds[index] = command.value
 
 
-def test_voltage_steps_until_the_ramp_ends_then_a_speed_without_a_step() -> None:
+@pytest.mark.parametrize("hosted", [False, True])
+def test_voltage_steps_until_the_ramp_ends_then_a_speed_without_a_step(hosted: bool) -> None:
     law, motors, speed, kinds, steps = (
-        launch_law(STEPPED, height=0.0),
+        launch_law(STEPPED._replace(hosted=hosted), height=0.0),
         Motors(1.1),
         0.0,
         [],

@@ -84,15 +84,17 @@ def test_a_frame_goes_to_the_first_driver_of_its_bus_that_takes_it() -> None:
 def test_measurements_are_those_of_the_output_and_unknown_while_silent() -> None:
     motors, drivers = robot()
     assert (motors.setpoints, motors.feedback) == ((None,) * 3, (SILENT,) * 3)
-    assert motors.measure(7, 0.5) == (7, 0.5, *([(None,) * 3] * 4), (), None, False, None, None, ())
+    assert motors.measure(7, 0.5) == (7, 0.5, *([(None,) * 3] * 4), (), None, False, None, None, (), (None,) * 3)
     drivers[0].motors = [MEASURED]
-    drivers[1].motors = [MEASURED._replace(velocity=1.0)]
+    other = MEASURED._replace(velocity=1.0, torque_age_ns=5_000_000)
+    drivers[1].motors = [other]
     found = motors.measure(0, 0.1)
-    assert motors.feedback == (MEASURED, SILENT, MEASURED._replace(velocity=1.0))
+    assert motors.feedback == (MEASURED, SILENT, other)
     assert found.speeds == (-2.0, None, 1.0)
     assert found.positions == (-1.0, None, 3.0)
     assert found.torques == (-2.0, None, 0.5)
     assert found.ages_ns == (4_000_000, None, 4_000_000)
+    assert found.torque_ages_ns == (MEASURED.torque_age_ns, None, 5_000_000)
     drivers[0].motors = [MEASURED._replace(state=MotorState.SILENT)]
     found = motors.measure(0, 0.1)
     assert (found.speeds[0], found.positions[0], found.torques[0]) == (None, None, None)

@@ -37,6 +37,36 @@ def test_the_speed_loop_does_not_drive_a_wheel_whose_speed_is_unknown() -> None:
     assert loop.torque(1.0, 0.0, 0.004) == pytest.approx(2.016)
 
 
+def swung(loop: SpeedLoop, inertia: float, *, cycles: int, start: float = 5.0, drag: float = 0.0) -> list[float]:
+    """Speeds of a wheel that is told to stand; `drag`: N m of dry friction."""
+    speed, speeds = start, []
+    for _ in range(cycles):
+        speed += loop.torque(0.0, speed, 0.004) * 0.004 / inertia
+        slowed = min(abs(speed), drag * 0.004 / inertia)
+        speed -= slowed if speed > 0.0 else -slowed
+        speeds.append(speed)
+    return speeds
+
+
+def test_a_wheel_that_is_too_light_for_its_gain_comes_to_rest_all_the_same() -> None:
+    """One that slips: in each cycle the gain takes back 3.5 times its error."""
+    loop = SpeedLoop(kp=3.5, ki=14.0, max_torque=4.5)
+    speeds = swung(loop, 0.004, cycles=500, drag=0.09)
+    assert max(map(abs, speeds[100:])) < 0.05
+    assert loop.torque(0.0, 1.0, 0.004) == pytest.approx(-3.5, abs=0.2), "where it no longer swings the gain is back"
+    loose = SpeedLoop(kp=3.5, ki=14.0, max_torque=4.5)
+    assert max(map(abs, swung(loose, 0.004, cycles=2500)[50:])) < 0.6, "nothing resists it: 2.2 with all of the gain"
+    loose.reset()
+    assert loose.torque(0.0, 1.0, 0.004) == pytest.approx(-3.5 - 14.0 * 0.004)
+
+
+def test_a_loop_that_takes_back_no_more_than_all_of_an_error_keeps_its_gain() -> None:
+    loop = SpeedLoop(kp=3.5, ki=0.0, max_torque=4.5)
+    speeds = swung(loop, 0.0141, cycles=100, start=1.0)
+    for before, after in zip([1.0, *speeds], speeds, strict=False):
+        assert after == pytest.approx(before * (1.0 - 3.5 * 0.004 / 0.0141), abs=1e-12)
+
+
 def test_transmission_applies_ratio_sign_and_zero_once() -> None:
     gear = Transmission(ratio=-50.0, zero=0.5)
     assert gear.motor_speed(2.0) == -100.0

@@ -6,10 +6,11 @@ from math import cos, sin
 
 import pytest
 
-from gateway.core.torque_loss import Mechanics, TorqueLossDetector
+from gateway.core.torque_loss import DRAG_SPEED, Mechanics, TorqueLossDetector
 from gateway.types import ZERO_TWIST, Twist
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
+from tests.launches import Launch
 
 # Four wheels of radius 0.1 m, 0.2 m from the middle, that drive along 30, 150, 210 and 330 degrees.
 RADIUS, LEVER, TOP = 0.1, 0.2, 4.0  # m, m, N m
@@ -125,20 +126,38 @@ def test_a_coasting_robot_in_a_curve_misses_nothing() -> None:
 
 def test_little_torque_is_no_evidence() -> None:
     """0.1 of 4 N m; enough to tell takes 0.1 of the limit for 0.1 s within the memory of 0.2 s."""
-    gains = (0.0, 1.0, 1.0, 1.0)
-    assert found(lambda _: (0.1, 0.0, 0.0, 0.0), gains=gains) is None
-    assert found(lambda _: (1.0, 0.0, 0.0, 0.0), gains=gains) is not None
+    gains, coasting = (0.0, 1.0, 1.0, 1.0), Twist(1.0, 0.0, 0.0)
+    assert found(lambda _: (0.1, 0.0, 0.0, 0.0), gains=gains, twist=coasting) is None
+    assert found(lambda _: (1.0, 0.0, 0.0, 0.0), gains=gains, twist=coasting) is not None
+
+
+ROLLING = Twist(0.5, 0.0, 0.0)
+
+
+def steadily(twist: Twist) -> tuple[float, ...]:
+    """N m that go into friction at this motion."""
+    speeds = [row[0] * twist.vx + row[1] * twist.vy + row[2] * twist.wz for row in ROWS]
+    return tuple(FRICTION * speed + DRAG * max(-1.0, min(1.0, speed / DRAG_SPEED)) for speed in speeds)
 
 
 @pytest.mark.parametrize("gap", ["motion", "torque"])
 def test_what_is_not_known_begins_anew(gap: str) -> None:
     """Every 60 ms a cycle in which the motion, or a torque, is not told: no evidence lasts so long."""
     looking = detector()
+    first, *others = steadily(ROLLING)
     for cycle in range(1000):
         hole = cycle % 15 == 0
-        twist = None if hole and gap == "motion" else Twist(0.0, 0.0, 0.0)
-        assert looking.look(twist, (None if hole and gap == "torque" else 0.6, 0.0, 0.0, 0.0), DT) is None
-    assert any(looking.look(Twist(0.0, 0.0, 0.0), (0.6, 0.0, 0.0, 0.0), DT) for _ in range(100))
+        twist = None if hole and gap == "motion" else ROLLING
+        assert looking.look(twist, (None if hole and gap == "torque" else first + 0.6, *others), DT) is None
+    assert any(looking.look(ROLLING, (first + 0.6, *others), DT) for _ in range(100))
+
+
+def test_what_a_speed_loop_still_pushes_at_rest_is_held_by_dry_friction() -> None:
+    for share in (0.9, 1.1):
+        looking, creeping = detector(), Twist(share * DRAG_SPEED * RADIUS / cos(ANGLES[3]), 0.0, 0.0)
+        first, *others = steadily(creeping)
+        named = [looking.look(creeping, (first - 0.9, *others), DT) for _ in range(1000)]
+        assert any(named) is (share > 1.0)
 
 
 TROUBLE: dict[str, list[tuple[str, float, str | None]]] = {
@@ -164,3 +183,11 @@ def test_no_trouble_of_a_sound_robot_is_taken_for_a_lost_torque(trouble: str) ->
         at.append({"t": 0.0, "fault": {"kind": kind, "value": value} | ({} if motor is None else {"motor": motor})})
     result = run_scenario(Scenario.model_validate({"robot": "omni4", "seconds": 5.0, "at": at}))
     assert "fault_torque_lost" not in {event.code for _, event in result.events}
+
+
+def test_a_robot_that_stopped_on_wheels_that_slipped_is_sound() -> None:
+    """Its speed loops go on pushing a little, each its own way, and nothing moves."""
+    launch = Launch("omni4_gm6020", 3, 0.8, told=None, seconds=0.4, stop=False)
+    launch._drive(ZERO_TWIST, 2.0)
+    assert {"slip", "slip_over"} <= set(launch.codes)
+    assert "fault_torque_lost" not in launch.codes

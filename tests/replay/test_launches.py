@@ -10,7 +10,7 @@ import pytest
 
 from gateway.core.engine import Engine
 from gateway.types import ZERO_TWIST, Mode, Twist
-from tests.launches import Launch, best, equal_torques, robot
+from tests.launches import FRICTIONS, Launch, best, equal_torques, robot
 from tests.world import World
 
 SLIP = 0.02  # of the speed
@@ -71,6 +71,19 @@ def test_a_launch_that_slips_backs_off_and_learns(eighth: int) -> None:
     ahead = [hypot(*out.trace.setpoint[:2]) - speed for out, speed in zip(run.outputs, run.speeds, strict=True)]
     assert max(ahead[settled]) < 0.12  # m/s; the setpoint does not go on from where the slip left it
     assert run.odometry_error < 0.015
+
+
+@pytest.mark.parametrize("eighth", range(4))
+def test_motors_that_are_told_nothing_but_a_speed_slip_when_they_do(eighth: int) -> None:
+    """Their torque comes late, and each takes another share of the push than its load's: neither is slip."""
+    for friction in FRICTIONS:
+        gripping = Launch("omni4_vesc", eighth, friction, told=friction)
+        assert "launch_slipped" not in gripping.codes
+        assert gripping.slip < 0.07  # behind a ramp their loops overshoot
+    for friction, told in ((0.3, 0.8), (0.5, 0.8)):
+        slipping = Launch("omni4_vesc", eighth, friction, told=told)
+        assert "launch_slipped" in slipping.codes
+        assert 0.65 * friction < slipping.law.friction < 1.4 * friction
 
 
 def test_what_was_learned_is_in_the_snapshot() -> None:
@@ -154,6 +167,16 @@ def test_a_stop_that_nobody_commanded_is_not_made_longer() -> None:
             break
     assert begun is not None
     assert (index - begun) / run.config.loop.rate < 1.0 / 9.0 + 9.0 / 75.0 + 0.05
+
+
+def test_on_a_slippery_floor_silence_ends_at_rest() -> None:
+    """Wheels that slip are light: with the gain that suits the robot they swung without end, and it slid on."""
+    run = Launch("omni4", 1, 0.1, told=None, seconds=0.4, stop=False)
+    for _ in range(round(3.0 * run.config.loop.rate)):
+        run.loop.cycle()
+    assert run.loop.engine.mode is Mode.IDLE
+    assert hypot(*run.plant.twist[:2]) < 0.01
+    assert max(map(abs, run.plant.rates)) < 0.1
 
 
 def test_what_the_floor_gives_is_held_against_the_motors_too() -> None:
