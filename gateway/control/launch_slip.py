@@ -90,11 +90,11 @@ class LaunchSlip:
         dt = measured.dt
         self._time += dt
         self._torques.append(measured.torques)
-        self._given = [all_ + dt * torque for all_, torque in zip(self._given, told.torques)]
-        self._ahead = [
-            all_ + dt * (0.0 if is_ is None else is_ - due)
-            for all_, is_, due in zip(self._ahead, measured.speeds, expected)
-        ]
+        given, ahead = self._given, self._ahead
+        for place, (torque, is_, due) in enumerate(zip(told.torques, measured.speeds, expected)):
+            given[place] += dt * torque
+            if is_ is not None:
+                ahead[place] += dt * (is_ - due)
         return self._judge(told, measured, expected, friction) if self._time >= LOOK_TIME else None
 
     def _begin(self, speeds: Sequence[float | None], expected: Sequence[float]) -> None:
