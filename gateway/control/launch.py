@@ -112,6 +112,7 @@ class LaunchLaw:
         self._acceleration = acceleration
         self._top_speeds = tuple(top_speeds)
         self._pushers = tuple(pushers)
+        self._able = tuple([(pusher.feed_forward, pusher.limit, pusher.hosted) for pusher in pushers])
         self._features = speeds.features._replace(grip=True)
         self._rows = tuple([(a / r, b / r, c / r) for (a, b, c), r in zip(grip.rows, radii, strict=True)])
         self._still = (0.0,) * len(radii)
@@ -134,6 +135,9 @@ class LaunchLaw:
         self._stepped = False  # voltages were told in the last cycle
         self._followed = True  # no wheel was far from its setpoint under voltages since rest
         self._push: Sharing
+        self._standing: tuple[
+            Told, Told, list[float]
+        ]  # bounds of wheels that stand, N m; the same all through a launch
         self._learn(friction)
 
     @property
@@ -250,13 +254,14 @@ class LaunchLaw:
 
     # the push
 
-    def _gained(self, setpoint: Rates, dt: float) -> Three:
-        """Acceleration of the setpoint since the last cycle; none where it was put elsewhere."""
+    def _gained(self, setpoint: Rates, dt: float) -> tuple[Three, float]:
+        """Acceleration of the setpoint since the last cycle, and its size; none where it was put elsewhere."""
         before, self._driven = self._driven, setpoint
         if before is None or dt <= 0.0 or before == setpoint:
-            return _NONE
+            return _NONE, 0.0
         gained = ((setpoint[0] - before[0]) / dt, (setpoint[1] - before[1]) / dt, (setpoint[2] - before[2]) / dt)
-        return gained if excess(gained, self._acceleration) <= _JUMP else _NONE
+        size = excess(gained, self._acceleration)
+        return (gained, size) if size <= _JUMP else (_NONE, 0.0)
 
     def _push_along(self, way: Three) -> Sharing:
         """How to push that way; that of before is kept as long as it is the same, as in a launch straight on."""
@@ -283,8 +288,7 @@ class LaunchLaw:
         if not self._whole:
             self._driven = None
             return None
-        gained = self._gained(setpoint, dt)
-        size = excess(gained, self._acceleration)
+        gained, size = self._gained(setpoint, dt)
         vx, vy, wz = setpoint
         x, y, z = gained if size > _QUIET else _NONE
         felt, much = (x, y, z), size
@@ -369,8 +373,8 @@ class LaunchLaw:
         return tuple(
             [
                 JointCommand(_VELOCITY, then if hosted else speed, torque if able else 0.0, bound if limited else None)
-                for speed, then, torque, bound, (able, limited, hosted, *_) in zip(
-                    speeds, expected, told.torques, bounds, self._pushers
+                for speed, then, torque, bound, (able, limited, hosted) in zip(
+                    speeds, expected, told.torques, bounds, self._able
                 )
             ]
         )
@@ -380,11 +384,16 @@ class LaunchLaw:
 
         The load of a wheel is the least of this cycle and the one before: the robot follows a little later.
         """
-        inertia, friction, drag = self._losses
-        return [
-            max(0.0, one if one < other else other) + inertia * abs(rate) + friction * abs(speed) + drag
-            for one, other, rate, speed in zip(told.bears, before.bears, told.rates, speeds)
-        ]
+        known, known_before, bounds = self._standing
+        if known is not told or known_before is not before:
+            inertia = self._losses.inertia
+            bounds = [
+                max(0.0, one if one < other else other) + inertia * abs(rate)
+                for one, other, rate in zip(told.bears, before.bears, told.rates)
+            ]
+            self._standing = told, before, bounds
+        _, friction, drag = self._losses
+        return [bound + friction * (speed if speed > 0.0 else -speed) + drag for bound, speed in zip(bounds, speeds)]
 
     def _torques_of(self, cone: Cone) -> tuple[Three, ...]:
         """N m of each wheel per acceleration of the body, without its own inertia."""
@@ -404,6 +413,7 @@ class LaunchLaw:
         self._bears = tuple([lever * load for (lever, _), load in zip(pairs, self._grip.resting, strict=True)])
         self._rest = Told(self._still, _NONE, self._still, self._bears, launch=False)
         self._push = self._sharing((1.0, 0.0, 0.0))
+        self._standing = self._rest, self._rest, [max(0.0, bears) for bears in self._bears]
 
     def _backed_off(self, told: Told, expected: Sequence[float], measured: Measured) -> tuple[Event, ...]:
         """Take the floor for worse once wheels have slipped; what is told of it."""

@@ -102,16 +102,15 @@ class LaunchSlip:
         dt = measured.dt
         self._time += dt
         self._torques.append(measured.torques)
-        fresh_ns = dt * 1e9
-        self._anew = [
-            count + int(age_ns is not None and age_ns <= fresh_ns)
-            for count, age_ns in zip(self._anew, measured.torque_ages_ns)
-        ]
-        self._given = [all_ + dt * torque for all_, torque in zip(self._given, told.torques)]
-        self._ahead = [
-            all_ + dt * (0.0 if is_ is None else is_ - due)
-            for all_, is_, due in zip(self._ahead, measured.speeds, expected)
-        ]
+        fresh_ns, given, ahead, anew = dt * 1e9, self._given, self._ahead, self._anew
+        for place, (torque, is_, due, age_ns) in enumerate(
+            zip(told.torques, measured.speeds, expected, measured.torque_ages_ns)
+        ):
+            given[place] += dt * torque
+            if is_ is not None:
+                ahead[place] += dt * (is_ - due)
+            if age_ns is not None and age_ns <= fresh_ns:
+                anew[place] += 1
         return self._judge(told, measured, expected, friction) if self._time >= LOOK_TIME else None
 
     def _begin(self, speeds: Sequence[float | None], expected: Sequence[float]) -> None:

@@ -20,7 +20,7 @@ SPEED = 0.5  # m/s; ours
 RAMP = 1.0  # s, in which the curvature changes between the arcs; ours
 FIRST, SECOND, STRAIGHT = 5.0, 8.0, 5.0  # m; printed
 FREE_WAY = 5.0  # m that are looked at without compensation: the first arc
-BOUNDS = {0.001: 8.0, 0.004: 8.0, 0.02: 15.0, 0.1: 50.0}  # period of the loop, s: mm (M15)
+BOUNDS = {0.001: 8.0, 0.004: 8.0, 0.02: 15.0, 0.1: 50.0}  # period of the loop, s: mm
 REFERENCE = {0.001: 6.4, 0.004: 7.6, 0.02: 14.6, 0.1: 48.2}
 _EVERY = 25  # samples between those whose place beside the path is looked for
 
@@ -131,15 +131,15 @@ def _rows(path: Path, steps: dict[float, list[Step]], free: dict[float, list[Ste
         loop = f"loop of {1e3 * period:g} ms"
         far, note = (
             max(_distances(path, steps[period])),
-            f"kinematics; M15: at most {bound:g}, ref {REFERENCE[period]:g}",
+            f"kinematics; at most {bound:g}, ref {REFERENCE[period]:g}",
         )
         found.append(Row(f"largest distance, {loop}", "mm", far, None, note, at_most(bound)))
         error = max(degrees(abs(step.error or 0.0)) for step in steps[period])
-        found.append(Row(f"largest error, {loop}", "deg", error, None, "kinematics; M15: at most 0.5", at_most(0.5)))
+        found.append(Row(f"largest error, {loop}", "deg", error, None, "kinematics; at most 0.5", at_most(0.5)))
     for period, one in free.items():
         pushed = next((SPEED * step.t for step in one if step.region is Region.PUSH), inf)
         allowed = (0.0, FREE_WAY)
-        note = "kinematics; M16: must leave it"
+        note = "kinematics; it must leave it"
         found.append(
             Row(f"way until it is pushed, k = 0, loop of {1e3 * period:g} ms", "m", pushed, None, note, allowed)
         )

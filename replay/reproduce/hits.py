@@ -27,17 +27,16 @@ LAST_DIGIT = 0.06  # of figures with one decimal
 
 
 class Test(NamedTuple):
-    """One experiment. `figures`: heading of the chassis, deg, at a time from the turn back, s (M18, M19)."""
+    """One experiment. `figures`: heading of the chassis, deg, at a time from the turn back, s."""
 
     words: str
     gain: float
     hit: float  # s; printed
     figures: dict[float, float]
-    item: str
 
 
-FREE = Test("uncompensated", 0.0, 0.4, {10.4: 64.8, 15.0: 144.3, 22.0: 176.7}, "M18")
-HELD = Test("compensated", 2.0, 0.8, {10.8: 77.8, 15.0: 21.5, 22.0: 1.94, 22.8: -77.6, 30.0: -7.7}, "M19")
+FREE = Test("uncompensated", 0.0, 0.4, {10.4: 64.8, 15.0: 144.3, 22.0: 176.7})
+HELD = Test("compensated", 2.0, 0.8, {10.8: 77.8, 15.0: 21.5, 22.0: 1.94, 22.8: -77.6, 30.0: -7.7})
 
 
 def figure_15(stage: Stage) -> Found:
@@ -55,7 +54,7 @@ def figure_15(stage: Stage) -> Found:
         "The paper prints the commands and no result in numbers: that the first hit was more than enough to turn the "
         "robot, and that the compensated one recovers its heading quickly.",
         "The paper's hits are commands. In the kinematics they are added behind the compensation, which does not know "
-        "of them (M18, M19). Through the service they are commands while the gain is set to 0, and to 2 again behind "
+        "of them. Through the service they are commands while the gain is set to 0, and to 2 again behind "
         "them, because a compensated robot turns a command like any other, to the mirrored side: so nothing holds "
         "against a hit, and it turns the chassis by 10 degrees more.",
         "Radius and track of the real robot's wheels are not printed: 0.1 m and 0.4 m are ours, and no heading depends "
@@ -107,7 +106,7 @@ def _rows(test: Test, steps: Sequence[Step], driven: Driven) -> list[Row]:
     for t, figure in test.figures.items():
         words = f"heading at {t:g} s, {test.words}"
         ours = side * degrees(steps[round(t / PERIOD)].heading)
-        note = f"kinematics, 4 ms; {test.item}: {figure:g}; {NOT_PRINTED}"
+        note = f"kinematics, 4 ms; ref {figure:g}; {NOT_PRINTED}"
         found.append(Row(words, "deg", ours, None, note, within(figure, LAST_DIGIT)))
         found.append(Row(f"{words}, service", "deg", other * _back(driven, t), None, NOT_PRINTED))
     return found

@@ -32,7 +32,14 @@ def figure_7(stage: Stage) -> Found:
     wheels = _wheels_at(10.0, 10.0, 5.0, seconds=3.0)
     places = _odometry(wheels)
     rows = (
-        Row("direction of the track, from the wheels", "deg", _direction(places), 45.0, "K1", within(45.0, 0.01)),
+        Row(
+            "direction of the track, from the wheels",
+            "deg",
+            _direction(places),
+            45.0,
+            "x and y alike",
+            within(45.0, 0.01),
+        ),
         Row(
             "direction of the track, service",
             "deg",
@@ -41,7 +48,7 @@ def figure_7(stage: Stage) -> Found:
             "",
             within(45.0, 1.0),
         ),
-        Row("spin, from the wheels", "rad/s", places[-1][2] / 3.0, 5.0, "K1", within(5.0, 1e-6)),
+        Row("spin, from the wheels", "rad/s", places[-1][2] / 3.0, 5.0, "as given", within(5.0, 1e-6)),
         Row("spin, service", "rad/s", _spin(way), 5.0, "", within(5.0, 0.02)),
         Row("fastest wheel", "rad/s", float(np.max(np.abs(wheels))), None, NOT_PRINTED),
     )
@@ -90,7 +97,7 @@ def figure_8(stage: Stage) -> Found:
             "rad/s",
             slip,
             None,
-            "K3; 0 without slip",
+            "0 without slip",
             within(8.0, 1e-12),
         ),
         Row(
@@ -120,7 +127,7 @@ def figure_8(stage: Stage) -> Found:
     )
     note = (
         "The printed wheel speeds are not independent inputs: they violate the paper's own condition of no slip by 8 "
-        "rad/s (science E-004-2). What is driven is their least-squares part, (8, -6, 8, -6) rad/s."
+        "rad/s. What is driven is their least-squares part, (8, -6, 8, -6) rad/s."
     )
     return Found(
         rows,
@@ -153,15 +160,22 @@ def figure_9(stage: Stage) -> Found:
             "rad/s",
             float(spinning[2]),
             None,
-            f"K2; {NOT_PRINTED}",
+            NOT_PRINTED,
             within(-3.75, 1e-12),
         ),
-        Row("way beside the axis, left alone", "in", _apart(kept["spinning"]), None, "K2", at_most(1e-9)),
+        Row(
+            "way beside the axis, left alone",
+            "in",
+            _apart(kept["spinning"]),
+            None,
+            "it spins on the spot",
+            at_most(1e-9),
+        ),
         Row("energy, spinning", "lbf in", robot.energy(spinning), None, NOT_PRINTED, within(10.715, 5.1e-4)),
         Row("energy, straight on", "lbf in", robot.energy(straight), None, NOT_PRINTED, within(11.419, 5.1e-4)),
-        Row("energy lost in 50 s, spinning", "1", drifts["spinning"], 0.0, "K4", at_most(1e-6)),
-        Row("energy lost in 50 s, straight on", "1", drifts["straight"], 0.0, "K4", at_most(1e-6)),
-        Row("energy lost in 50 s, both", "1", drifts["both"], None, "K4; not in the paper", at_most(1e-6)),
+        Row("energy lost in 50 s, spinning", "1", drifts["spinning"], 0.0, "nothing takes any", at_most(1e-6)),
+        Row("energy lost in 50 s, straight on", "1", drifts["straight"], 0.0, "nothing takes any", at_most(1e-6)),
+        Row("energy lost in 50 s, both", "1", drifts["both"], None, "not in the paper", at_most(1e-6)),
         Row("spin, service", "rad/s", _spin(way), None, "", within(-3.75, 0.02)),
         Row(
             "way beside the axis, service",

@@ -46,10 +46,10 @@ def figure_13(stage: Stage) -> Found:
     drive, beside = _follow(stage, figure_eight, 2.0 * _ROUND)
     rows = (
         *_pole_rows(),
-        Row("largest torque", "slug in^2/s^2", _torque(moments), 0.6, "K5; ref 0.577", at_most(0.6)),
-        Row("largest error along n1", "in", max(abs(m.error_x) for m in moments), 0.0008, "K5", at_most(1e-3)),
-        Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), 0.001, "K5", at_most(1e-3)),
-        Row("largest error of the spin", "rad", max(abs(m.spin) for m in moments), 6e-6, "K5", at_most(6e-6)),
+        Row("largest torque", "slug in^2/s^2", _torque(moments), 0.6, "ref 0.577", at_most(0.6)),
+        Row("largest error along n1", "in", max(abs(m.error_x) for m in moments), 0.0008, "", at_most(1e-3)),
+        Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), 0.001, "", at_most(1e-3)),
+        Row("largest error of the spin", "rad", max(abs(m.spin) for m in moments), 6e-6, "", at_most(6e-6)),
         Row("largest distance from the path, service", "in", beside, None, "", at_most(0.2)),
     )
     panels = (
@@ -57,9 +57,7 @@ def figure_13(stage: Stage) -> Found:
         (_errors(moments), _step_panel()),
         (_wheel_errors(moments), _wheel_speeds(moments)),
     )
-    note = (
-        "The printed gains of wheels 1 and 2 have a wrong digit (1778.55 for 1178.55): their poles show it (E-004-3)."
-    )
+    note = "The printed gains of wheels 1 and 2 have a wrong digit (1778.55 for 1178.55): their poles show it."
     return Found(
         rows,
         Picture("Figures 13 to 18: figure eight", panels),
@@ -77,9 +75,9 @@ def figure_19(stage: Stage) -> Found:
     stage.tell("through the service")
     drive, beside = _follow(stage, sharp_corners, 25.0)
     rows = (
-        Row("largest torque", "slug in^2/s^2", _torque(moments), 40.0, "K6: 20 to 40; ref 34.3", (20.0, 40.0)),
-        Row("largest torque of the direct PID", "slug in^2/s^2", _torque(direct), None, "K6: not to be used; ref 133"),
-        Row("largest error of a wheel", "rad", _wheel_error(moments), None, "K6; the paper: 5 to 10 %", at_most(0.1)),
+        Row("largest torque", "slug in^2/s^2", _torque(moments), 40.0, "20 to 40; ref 34.3", (20.0, 40.0)),
+        Row("largest torque of the direct PID", "slug in^2/s^2", _torque(direct), None, "not to be used; ref 133"),
+        Row("largest error of a wheel", "rad", _wheel_error(moments), None, "the paper: 5 to 10 %", at_most(0.1)),
         Row("largest error along n1", "in", max(abs(m.error_x) for m in moments), None, NOT_PRINTED),
         Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), None, NOT_PRINTED),
         Row("largest distance from the path, service", "in", beside, None, "", at_most(0.5)),
@@ -108,10 +106,10 @@ def figure_24(stage: Stage) -> Found:
     stage.tell("through the service")
     drive, beside = _follow(stage, figure_eight, 2.0 * _ROUND, force=pushes)
     rows = (
-        Row("largest torque", "slug in^2/s^2", _torque(moments), 20.0, "K7; ref 18.2", at_most(20.0)),
-        Row("largest error of a wheel", "rad", _wheel_error(moments), 0.008, "K7; ref 0.0089", at_most(0.009)),
-        Row("largest error along n1", "in", max(abs(m.error_x) for m in moments), 0.06, "K7", at_most(0.06)),
-        Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), 0.04, "K7", at_most(0.06)),
+        Row("largest torque", "slug in^2/s^2", _torque(moments), 20.0, "ref 18.2", at_most(20.0)),
+        Row("largest error of a wheel", "rad", _wheel_error(moments), 0.008, "ref 0.0089", at_most(0.009)),
+        Row("largest error along n1", "in", max(abs(m.error_x) for m in moments), 0.06, "", at_most(0.06)),
+        Row("largest error along n2", "in", max(abs(m.error_y) for m in moments), 0.04, "", at_most(0.06)),
         Row("largest error of the spin", "rad", max(abs(m.spin) for m in moments), 6e-6, "ref 2.1e-6", at_most(6e-6)),
         Row("largest distance from the path, service", "in", beside, None, "pushed along n1 alone", at_most(0.3)),
     )
@@ -185,7 +183,7 @@ def _follow(
 
 
 def _pole_rows() -> list[Row]:
-    """K8: where the gains put the poles, of every wheel the one that is furthest off."""
+    """Where the gains put the poles, of every wheel the one that is furthest off."""
     wanted, found = Response(), []
     for gains in WHEEL_GAINS:
         ours, inertia = gains_for(gains.derivative, wanted)
@@ -198,11 +196,11 @@ def _pole_rows() -> list[Row]:
     first = WHEEL_GAINS[0]
     printed = poles(first._replace(proportional=PRINTED_GAINS[0]), gains_for(first.derivative, wanted)[1])
     return [
-        Row("real pole of the wheel control", "1/s", real, None, "K8: -100", within(-100.0, 0.1)),
-        Row("real part of the other poles", "1/s", part, None, "K8: -4/ts", within(-8.0, 0.008)),
-        Row("imaginary part of them", "1/s", swing, None, "K8: pi/tp", within(4.0 * pi, 0.001 * 4.0 * pi)),
+        Row("real pole of the wheel control", "1/s", real, None, "as placed: -100", within(-100.0, 0.1)),
+        Row("real part of the other poles", "1/s", part, None, "as placed: -4/ts", within(-8.0, 0.008)),
+        Row("imaginary part of them", "1/s", swing, None, "as placed: pi/tp", within(4.0 * pi, 0.001 * 4.0 * pi)),
         Row("real pole with the printed gain of wheel 1", "1/s", float(printed[0].real), None, "ref -87.5"),
-        Row("Kprop of wheel 1", "slug in^2/s^2", first.proportional, PRINTED_GAINS[0], "a digit apart (E-004-3)"),
+        Row("Kprop of wheel 1", "slug in^2/s^2", first.proportional, PRINTED_GAINS[0], "a digit apart: 1178.55"),
     ]
 
 

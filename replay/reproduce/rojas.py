@@ -46,10 +46,12 @@ def figure_4(stage: Stage) -> Found:
         stage.tell(f"through the service, {words}")
         drives[words] = _speeding_up(stage, direction, _SHARE * counts[direction] * FORCE / MASS)
     rows = (
-        Row("motors forward", "1", counts[90.0], 3.7, "R3; 4 cos(phi) is 3.464 (E-001-2)", within(3.464, 5.1e-4)),
-        Row("motors at 45 deg", "1", counts[45.0], 2.0, "R3; swapped with the next (E-001-3)", within(1.793, 5.1e-4)),
-        Row("motors sideways", "1", counts[0.0], 1.8, "R3; swapped (E-001-3)", within(2.0, 1e-9)),
-        Row("motors in the weakest direction, 30 deg", "1", counts[30.0], None, "R3", within(1.732, 5.1e-4)),
+        Row(
+            "motors forward", "1", counts[90.0], 3.7, "4 cos(phi), phi 30 deg; the print is off", within(3.464, 5.1e-4)
+        ),
+        Row("motors at 45 deg", "1", counts[45.0], 2.0, "printed: that of sideways, swapped", within(1.793, 5.1e-4)),
+        Row("motors sideways", "1", counts[0.0], 1.8, "printed: that of 45 deg, swapped", within(2.0, 1e-9)),
+        Row("motors in the weakest direction, 30 deg", "1", counts[30.0], None, NOT_PRINTED, within(1.732, 5.1e-4)),
         *(
             Row(
                 f"motors that push while speeding up {words}, service",
@@ -157,7 +159,9 @@ def figure_9(stage: Stage) -> Found:
 def slip_table(stage: Stage) -> Found:
     """Section 9: which wheel speeds are consistent, and a wheel that slips on a patch of oil."""
     rows = [
-        Row(f"v1 - v2 + v3 - v4 of {words}", "m/s", abs(_slip(SYMMETRIC, speeds)), 0.0, "R4", at_most(1e-12))
+        Row(
+            f"v1 - v2 + v3 - v4 of {words}", "m/s", abs(_slip(SYMMETRIC, speeds)), 0.0, "no wheel slips", at_most(1e-12)
+        )
         for words, speeds in (
             ("forward (1, -1, -1, 1)", (1.0, -1.0, -1.0, 1.0)),
             ("sideways (-1, -1, 1, 1)", (-1.0, -1.0, 1.0, 1.0)),
@@ -173,7 +177,7 @@ def slip_table(stage: Stage) -> Found:
                 "m/s",
                 abs(_slip(SYMMETRIC, speeds)),
                 None,
-                "R4: its sign goes by the diagonal, and names no wheel",
+                "its sign goes by the diagonal, and names no wheel",
                 within(0.1, 1e-12),
             )
         )
@@ -237,8 +241,22 @@ def dead_motors(stage: Stage) -> Found:
         sessions[f"without {name}"], drives[name] = drive.session, drive
         end = drive.samples[-1]
         rows += [
-            Row(f"error of accelerations without motor {dead + 1}", "m/s^2", worst, None, "R7", at_most(1e-12)),
-            Row(f"push forward without motor {dead + 1}", "of all four", half, 0.5, "R7", within(0.5, 1e-12)),
+            Row(
+                f"error of accelerations without motor {dead + 1}",
+                "m/s^2",
+                worst,
+                None,
+                "the others suffice",
+                at_most(1e-12),
+            ),
+            Row(
+                f"push forward without motor {dead + 1}",
+                "of all four",
+                half,
+                0.5,
+                "half the acceleration",
+                within(0.5, 1e-12),
+            ),
             Row(
                 f"speed in the end without motor {dead + 1}, service",
                 "m/s",
@@ -285,7 +303,7 @@ def dead_motors(stage: Stage) -> Found:
     )
     notes = (
         'The paper says "half as fast": it is half the acceleration; the dead wheel rolls along, and the top speed is '
-        "the same (E-001-14). It also speaks of two inactive motors; generally it is the dead one alone.",
+        "the same. It also speaks of two inactive motors; generally it is the dead one alone.",
         "The service finds the motor silent by itself, lets it roll, and drives on with the others (mode degraded).",
     )
     return Found(tuple(rows), Picture("Section 11: without one motor", ((way, speed),)), notes, sessions)

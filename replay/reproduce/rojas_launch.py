@@ -95,15 +95,15 @@ def figure_10(stage: Stage) -> Found:
     torques = [abs(s.torques[0]) for s in pushed]
     mean = sum(torques) / len(torques)
     rows = (
-        Row("weakest torque at 4 ms", "of V0's", _weakest(middle), None, "R6: e^(-0.08)", within(0.92312, 1e-5)),
-        Row("strongest torque at 4 ms", "of V0's", max(middle.torques), None, "R6: never above", at_most(1.0 + 1e-12)),
+        Row("weakest torque at 4 ms", "of V0's", _weakest(middle), None, "e^(-0.08)", within(0.92312, 1e-5)),
+        Row("strongest torque at 4 ms", "of V0's", max(middle.torques), None, "never above", at_most(1.0 + 1e-12)),
         Row("weakest torque at 1 ms", "of V0's", _weakest(stepped[0.001]), None, "e^(-0.02)", within(0.98020, 1e-5)),
         Row(
             "back-EMF at 4 ms from a straight line",
             "V",
             _bent(middle, 0.004),
             0.0,
-            "R6: k V0 (1 - e^(-0.08)) until it saturates",
+            "k V0 (1 - e^(-0.08)) until it saturates",
             at_most(1e-12),
         ),
         Row("slope at 4 ms", "of V0/tau", grown, None, "1 where the voltage is changed ever more often", (0.94, 1.0)),

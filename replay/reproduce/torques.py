@@ -32,7 +32,7 @@ REFERENCE = {  # science 1.7, of each set in the order of PAPER
     "C": (12.386, 225.11, 5.222, 94.50),
     "D": (12.479, 225.15, 5.177, 95.26),
 }
-BOUNDED = ("B", "C", "D")  # by M11
+BOUNDED = ("B", "C", "D")  # to 1 %
 FITTED = {
     "A": "Otbot-1 as published, nothing fitted but the duration",
     "B": "set A, x_B fitted to the force",
@@ -126,7 +126,7 @@ def figure_13(stage: Stage) -> Found:
             "deg",
             swivel,
             None,
-            "M10: pulled it goes to +90",
+            "pulled it goes to +90",
             within(90.0, 0.5),
         ),
         Row("swivel at the end of the acceleration, service", "deg", degrees(_at(loop, quarter)), None, NOT_PRINTED),
@@ -264,10 +264,10 @@ def _peak_rows(name: str, free: list[Instant], held: list[Instant]) -> list[Row]
         words, ("N m", "N") * 2, ours, PAPER.values(), REFERENCE[name], wheels, strict=True
     ):
         allowed = within(reference, 0.01 * reference) if name in BOUNDED else None
-        note = f"{wheel}{FITTED[name]}; ref {reference:g}" + ("; M11: 1 %" if allowed else "")
+        note = f"{wheel}{FITTED[name]}; ref {reference:g}" + ("; within 1 %" if allowed else "")
         rows.append(Row(f"{what}, set {name}", unit, value, paper, note, allowed))
     ratio = PAPER["free torque"] / PAPER["held torque"]
-    note = "M14: at least 2; the paper's from its two torques"
+    note = "at least 2; the paper's from its two torques"
     rows.append(Row(f"torque by torque, set {name}", "1", free_torque / held_torque, ratio, note, at_least(2.0)))
     flipped = flip_time(free) or inf
     rows.append(Row(f"time of the flip, set {name}", "s", flipped, None, "not printed; goes by the error at the start"))
@@ -285,7 +285,7 @@ def _loop_rows(flipped: Loop, kept: Loop) -> list[Row]:
         rows.append(Row(f"peak force, {words}, service", "N", force, PAPER[f"{key} force"], f"set {SHOWN}"))
     ratio = flipped.peak[0] / kept.peak[0]
     paper = PAPER["free torque"] / PAPER["held torque"]
-    rows.append(Row("torque by torque, service", "1", ratio, paper, "M14: at least 2", at_least(2.0)))
+    rows.append(Row("torque by torque, service", "1", ratio, paper, "at least 2", at_least(2.0)))
     return rows
 
 

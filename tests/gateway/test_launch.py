@@ -128,6 +128,19 @@ def test_a_wheel_may_push_by_the_least_that_it_has_carried_lately() -> None:
     assert front.limit == pytest.approx(0.6 * RADIUS * 36.31, abs=1e-3)
 
 
+def test_what_holds_wheels_back_after_a_launch_follows_a_friction_that_is_set() -> None:
+    """All of them together are pressed by the whole robot, and so they are once the launch is over."""
+    law = launch_law(Pusher(True, True, hosted=False, torque=10.0), friction=0.6)
+    ramp(law, 3.0, 5)
+    steady, pushing = (3.0 * DT * 5, 0.0, 0.0), measured([0.0] * 4, [50.0] * 4)
+    for friction in (0.6, 0.9, 0.3):
+        law.set("friction", friction)
+        for _ in range(3):
+            commands = law.motion(steady, pushing, braking=False).commands
+            together = sum(command.limit or 0.0 for command in commands)
+        assert together == pytest.approx(friction * RADIUS * MASS * 9.81, rel=1e-3)
+
+
 def slipping(*, wz: float = 0.0, braked: bool = False) -> list[str]:
     """Events of wheels that turn as told while the floor pushes back by nothing."""
     law = launch_law(Pusher(True, True, hosted=False, torque=4.5), inertia=0.004)
