@@ -53,7 +53,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "kane-fig24": Experiment("Figures 23 to 27: pushed on the figure eight", kane_tracking.figure_24, 2),
     "kane-tracking": Experiment("Along paths: wheel control and the service's loop", kane_paths.tracking, 6),
     "odd-fig8": Experiment("Figure 8: four paths", odd.figure_8, 4),
-    "odd-fig9": Experiment("Figure 9: four paths on ball casters", odd.figure_9, 5),
+    "odd-fig9": Experiment("Figure 9: four paths on ball casters", odd.figure_9, 6),
     "odd-fig10": Experiment("Figure 10: the width changed in motion", odd.figure_10, 3 * len(odd.FORMS)),
     "odd-fig11": Experiment("Figure 11: narrow passages", odd.figure_11, len(odd.FORMS)),
 }

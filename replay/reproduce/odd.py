@@ -68,7 +68,7 @@ def figure_8(stage: Stage) -> Found:
         rows.append(Row(f"end, {path.words}, ideal wheels", "m", apart(poses[0], poses[-1]), None, "", at_most(_EXACT)))
         lines = [_ideal_line(poses)]
         for colour, form in enumerate(FORMS):
-            seen = drive_odd(stage, form, LEVEL, path.course)
+            seen = drive_odd(stage, form, LEVEL, path.course, hold=True)
             sessions[f"{path.words}, {form.words}"] = seen.drive.session
             rows += _closing(path, seen, form.words, bound=form is CASTERS)
             lines.append(_way(seen, form.words, colour))
@@ -88,29 +88,32 @@ def figure_9(stage: Stage) -> Found:
     rows, panels, sessions = list[Row](), list[Panel](), {}
     for path in _paths():
         stage.tell(path.words)
-        seen = drive_odd(stage, CASTERS, TILTED, path.course)
+        seen = drive_odd(stage, CASTERS, TILTED, path.course, hold=True)
         sessions[path.words] = seen.drive.session
         rows += _closing(path, seen, "", bound=True)
         panels.append(
             _above(path.words, [_ideal_line(ideal(robot_of(CASTERS), path.course)), _way(seen, "service", 0)])
         )
-    stage.tell("wheels that creep")
-    creeping = TILTED._replace(creep=0.05)
     path = _paths()[2]
-    seen = drive_odd(stage, CASTERS, creeping, path.course)
-    sessions["wheels that creep"] = seen.drive.session
-    drift = 100.0 * (seen.widths[-1] - seen.widths[0])
-    rows.append(Row(f"width gained, {path.words}, wheels creep, service", "cm", drift, None, "nothing holds it"))
+    stage.tell("nothing holds the width")
+    free = drive_odd(stage, CASTERS, TILTED, path.course)
+    sessions["nothing holds the width"] = free.drive.session
+    drift = 100.0 * (free.widths[-1] - free.widths[0])
+    rows.append(Row(f"width gained where nothing holds it, {path.words}, service", "cm", drift, None, "not printed"))
+    stage.tell("wheels that do not creep")
+    rigid = drive_odd(stage, CASTERS, TILTED._replace(creep=0.0), path.course, hold=True)
+    sessions["wheels that do not creep"] = rigid.drive.session
+    end = 100.0 * apart(rigid.samples[0], rigid.samples[-1])
+    rows.append(Row(f"end, {path.words}, wheels do not creep, service", "cm", end, None, "not printed"))
     notes = (
         PAPER_NOTE,
         _PATHS_NOTE,
         "Floor and disturbances, all ours and none fitted: 0.5 degrees of slope, friction 0.6, left half 53 % of the "
         "mass, rollers that resist 2 % of their load sideways, slides of 2 N and 5 N s/m, casters 0.15 m before and "
         "behind the axle.",
-        "The paper supposes that the regular deviation comes from the slope. On wheels that roll without creep it does "
-        "not: their speed loops hold against the slope. Where wheels creep (5 % of their speed under a push as large "
-        "as their load) the halves go apart in the turn, which the wheels do not tell: the width has to be measured "
-        "and held.",
+        "Wheels creep: they slip by 5 % of their speed under a push as large as their load, ours too. Then the slope "
+        "drifts the circles, as the paper supposes; wheels that do not creep hold against it.",
+        "In a turn creeping halves go apart, which the wheels do not tell: the width is measured, and told to stay.",
         "Balls are taken to roll without resistance.",
     )
     return Found(

@@ -62,6 +62,7 @@ TILTED: Final = Floor(
     slope=radians(0.5),
     left=0.53,
     rollers=0.02,
+    creep=0.05,
     slide_drag=2.0,
     slide_friction=5.0,
     reach=0.15,
@@ -145,15 +146,21 @@ def robot_of(form: Form) -> OddRobot:
     return robot
 
 
-def drive_odd(stage: Stage, form: Form, floor: Floor, course: Course) -> Seen:
-    """Through the service, commands in the axes of the body and nothing that corrects the place, as in the paper."""
+def drive_odd(stage: Stage, form: Form, floor: Floor, course: Course, *, hold: bool = False) -> Seen:
+    """Through the service, commands in the axes of the body and nothing that corrects the place, as in the paper.
+
+    `hold`: the width of the start is commanded all the time, in place of the course's rates of it.
+    """
     text = find(form.robot).read_text(encoding="utf-8")
     plant = plant_on(robot_of(form), floor)
+    start = plant.width
     loop = ClosedLoop(parse(text, form.robot), plant=plant)
     seen = Seen(Driven([], (), stage.folder), [], [])
 
     def order(t: float, _: Pose) -> Order:
         rates = course.at(t)
+        if hold:
+            return Order(rates.vx, rates.vy, wz=rates.wz, frame=TwistFrame.BODY, width=start)
         return Order(rates.vx, rates.vy, wz=rates.wz, frame=TwistFrame.BODY, width_rate=rates.width)
 
     def look(_: float) -> None:

@@ -27,7 +27,7 @@ _SETTLING = 2.0  # s
 class Order(NamedTuple):
     """What is sent in a cycle: m/s, rad/s of the path if it is told, settings to be changed, rad/s.
 
-    `width_rate`: m/s by which wheels go apart, of a robot whose wheels do.
+    `width_rate`: m/s by which wheels go apart, of a robot whose wheels do; `width`: m to keep instead.
     """
 
     vx: float
@@ -37,6 +37,7 @@ class Order(NamedTuple):
     wz: float = 0.0
     frame: TwistFrame = TwistFrame.ODOM
     width_rate: float | None = None
+    width: float | None = None
 
 
 Wanted = Callable[[float, Pose], Order]  # at a time, s, where the odometry tells the robot to be
@@ -172,6 +173,7 @@ class _Drive:
             now_ns,
             _SENDER,
             width_rate=order.width_rate,
+            width=order.width,
             path_rate=order.path_rate,
         )
         requests = self._requests(order.settings, now_ns)

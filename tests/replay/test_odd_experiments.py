@@ -91,5 +91,5 @@ def test_a_short_drive_through_the_service(tmp_path: Path) -> None:
     seen = drive_odd(Stage(tmp_path, 1_700_000_000_000_000_000, lambda words: None), CASTERS, TILTED, course)
     assert len(seen.widths) == len(seen.width_rates) == len(seen.samples)
     assert seen.widths[0] == pytest.approx(0.4, abs=1e-4)
-    assert seen.widths[-1] == pytest.approx(0.46, abs=2e-3)
+    assert seen.widths[-1] == pytest.approx(0.46, abs=4e-3)
     assert apart(seen.samples[-1], ideal(robot_of(CASTERS), course)[-1]) < 5e-3

@@ -324,3 +324,15 @@ def test_the_simulated_controllers_drive_the_plant_they_are_given(name: str, pla
         ways.append(loop.bus.robot.truth.pose.x)
     assert heavy.pose.x == ways[1]
     assert 0.001 < ways[1] < 0.9 * ways[0]
+
+
+def test_a_load_is_over_the_middle_of_halves_that_slide() -> None:
+    """What slides is the robot's own mass, whatever it carries; else close pairs would turn without inertia."""
+    plant = PLANTS["odd"][PlantName.SIMPLE](load(ROBOTS / "odd.toml")[0].robot)
+    assert isinstance(plant, WithSlides)
+    plant.set_mass(500.0)
+    run(plant, 4.0, (-0.3, 0.3, 0.3, -0.3))  # together
+    assert plant.width < 0.3
+    run(plant, 0.5, (-1.0, -1.0, 1.0, 1.0))
+    assert plant.energy > 0.0
+    assert 0.0 < plant.twist.wz < 5.0

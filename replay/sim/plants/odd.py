@@ -166,8 +166,10 @@ class OddPlant:
         together: Array = self._body.joint_inertia * (gripping.T @ gripping)
         together[0, 0] += mass
         together[1, 1] += mass
-        together[2, 2] += self._body.inertia + 0.25 * mass * (width * width - self._robot.width * self._robot.width)
-        together[3, 3] += 0.25 * mass
+        together[2, 2] += self._body.inertia + 0.25 * self._body.mass * (
+            width * width - self._robot.width * self._robot.width
+        )
+        together[3, 3] += 0.25 * self._body.mass
         return together
 
     def _gripping(self, rows: Array) -> Array:
@@ -183,7 +185,7 @@ class OddPlant:
     ) -> list[float]:
         vx, vy, wz, rate = u
         mass, body = self._mass, self._body
-        slope = 0.5 * mass * width  # of the inertia over the width
+        slope = 0.5 * body.mass * width  # of the inertia over the width; what is loaded is over the middle
         force = self.push - mass * GRAVITY * sin(self.slope)
         fx, fy = force * cos(self.pose.theta) + mass * wz * vy, -force * sin(self.pose.theta) - mass * wz * vx
         turning, apart = -slope * rate * wz, 0.5 * slope * wz * wz
