@@ -25,6 +25,7 @@ STANDING = 0.05  # m/s and rad/s of the true body that still count as rest
 DWELL_S = 0.25  # that wheels have to stand until it is rest
 NOTICE_NS = 200_000_000  # from the plan of a manoeuvre to its first motion
 FOLLOWING_S = 0.25  # by which real wheels may be later than their setpoints
+FLOOR = 1.0  # m/s^2 that every floor gives to locked wheels
 SWAYING = 0.15  # m/s and rad/s of the true body of a robot that balances that still count as rest
 SETTLING_S = 2.5  # in which it comes to that behind its setpoint
 HELD_NS = 10_000_000_000  # for which somebody holds a robot that was asked to stand up
@@ -203,6 +204,7 @@ def rests_in_time(drive: Drive, config: RobotConfig) -> Iterator[str]:
         time_to_stop += max(limits.motor_speed[name] / most for name, most in limits.motor_acceleration.items())
     last = max((now.t for now in drive if now.inputs.commands), default=0.0)
     longest = max(source.timeout for source in config.commands.source)
+    time_to_stop = max(time_to_stop, max(limits.velocity.as_twist()[:2]) / FLOOR)  # held as long as it may slide
     due = last + longest + time_to_stop + DWELL_S + FOLLOWING_S
     resting, standing = RESTING, STANDING
     if _balances(config):  # upright until somebody lets it down

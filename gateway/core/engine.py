@@ -305,6 +305,8 @@ class Engine:
         measurable = estimate is not None or None not in speeds
         moves = self._law.moves(measured, turning=self._motors.turning(measured))
         self._standstill.measure(turning=moves, measurable=measurable, now_ns=now_ns)
+        goes = 0.0 if moves is False or estimate is None else self._way_per_second(estimate.rates)
+        self._standstill.slide(goes, now_ns)
         self._move(deltas, trusted, readings, estimate=estimate, slip=slip, dt=dt)
         return _measured(
             (
@@ -323,6 +325,11 @@ class Engine:
                 measured.torque_ages_ns,
             )
         )
+
+    def _way_per_second(self, rates: Rates) -> float:
+        """M/s of a motion, no more than can be commanded; turning counts as driving at the same share of its top."""
+        top = self._velocity
+        return min(excess(rates, top), 1.0) * max(top[0], top[1])
 
     def _move(
         self,
