@@ -350,10 +350,10 @@ ROWS = (
     Removed(ROUND, go_on_whoever_asks, "moby", 2.5, TAKEN_BACK, edit=with_manoeuvre),
     Removed(ROUND, begin_at_once, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),
     Removed(ROUND, turn_the_platform_too, "moby", 2.5, TURNED_ROUND, edit=with_manoeuvre),
-    Removed(REST, fresh_for_ever, "omni4", 4.2, SILENCE, can_brake=True),
-    Removed(REST, never_quiet, "omni4", 4.2, SILENCE, can_brake=True),
-    Removed(REST, brake_at_a_third, "omni4", 4.6, TOP_SPEED, can_brake=True),
-    Removed(REST, never_rested, "omni4", 4.2, SILENCE, can_brake=True),
+    Removed(REST, fresh_for_ever, "omni4", 5.4, SILENCE, can_brake=True),
+    Removed(REST, never_quiet, "omni4", 5.4, SILENCE, can_brake=True),
+    Removed(REST, brake_at_a_third, "omni4", 5.6, TOP_SPEED, can_brake=True),
+    Removed(REST, never_rested, "omni4", 5.4, SILENCE, can_brake=True),
 )
 
 
