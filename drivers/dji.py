@@ -71,6 +71,7 @@ FEEDBACK_ID: Final = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}  # + id; C6
 AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
 
 TICKS: Final = 8192  # per turn of the rotor; C610 manual, p. 9
+HALF_TURN: Final = TICKS / 2.0
 RAD_PER_TICK: Final = tau / TICKS
 RAD_S_PER_RPM: Final = tau / 60.0
 TICKS_PER_RPM_NS: Final = TICKS / 60e9
@@ -233,6 +234,9 @@ class _Motor:
         state = _OPERATIONAL if self.commanded else _IDLE
         if self.fault is not None:
             state = _FAULT
+        age_ns = now_ns - self.heard_ns
+        if age_ns < 0:
+            age_ns = 0
         return _made(
             (
                 state if now_ns < self.heard_until_ns else _SILENT,
@@ -242,9 +246,9 @@ class _Motor:
                 None,
                 self.temperature_c,
                 self.fault,
-                max(0, now_ns - self.heard_ns),
+                age_ns,
                 None,
-                max(0, now_ns - self.heard_ns),
+                age_ns,
             )
         )
 
@@ -502,4 +506,6 @@ def _moved_ticks(difference: int, expected: float) -> int:
     Without a gap the promise is small and this is the shortest way round. After one it is right as long as the mean
     speed of its two ends is within half a turn per gap of the true mean.
     """
+    if -HALF_TURN <= expected - difference <= HALF_TURN:  # no turn has ended since, as between most frames
+        return difference
     return difference + TICKS * _nearest((expected - difference) / TICKS)

@@ -62,8 +62,9 @@ def excess(vector: Rates, limits: Rates) -> float:
     if len(vector) == _UNROLLED:
         x, y, z = vector
         limit_x, limit_y, limit_z = limits
-        worst = max(abs(x) / limit_x, abs(y) / limit_y)  # of two: that of three is a call
-        return max(worst, abs(z) / limit_z)
+        along, across, turn = abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z
+        worst = across if across > along else along  # `max` is a call, and this is asked many times in a cycle
+        return turn if turn > worst else worst
     worst = 0.0
     for value, limit in zip(vector, limits):
         worst = max(worst, abs(value) / limit)
@@ -305,7 +306,9 @@ def landing_slope(acceleration: Rates, jerk: Rates) -> float:
 
 def _left(limit: float, turning: float, way: float) -> float:
     against = turning if way > 0.0 else -turning
-    return min(limit, max(limit - against, LEAST_SHARE * limit))
+    if against <= 0.0:
+        return limit
+    return max(limit - against, LEAST_SHARE * limit)
 
 
 def _peak(a: float, to_a: float, b: float, to_b: float) -> float:

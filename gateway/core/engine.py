@@ -21,7 +21,7 @@ from drivers.contract import CanFrame, MotorFeedback, MotorState
 from drivers.records import maker
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
-from gateway.control.drive_law import COAST, Measured, Motion
+from gateway.control.drive_law import COAST, JointCommand, Measured, Motion
 from gateway.control.limits import excess, scale_to
 from gateway.control.slip_correction import SlipCorrection
 from gateway.core import snapshot as snapshots
@@ -142,6 +142,7 @@ class Engine:
         self._unheard = False  # on the way to rest the setpoint went to nobody, and no motor has told its speed since
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
+        self._none = (False,) * len(robot.names)  # of the motors
         self._believable: tuple[bool, ...] = (True,) * len(robot.names)
         self._measured = self._motors.measure(0, self._period)  # nothing yet
         self._expected_speeds = tuple(partial(self._expected_speed, index) for index in range(len(robot.names)))
@@ -249,7 +250,11 @@ class Engine:
     def _receive(self, inputs: Inputs) -> Inputs:
         """Take everything in; commands that this chassis cannot follow are among the refusals of what is given back."""
         self._motors.receive(inputs.frames)
-        refused = [refusal for refusal in map(self._arbiter.receive, inputs.commands) if refusal is not None]
+        refused = []
+        for command in inputs.commands:
+            refusal = self._arbiter.receive(command)
+            if refusal is not None:
+                refused.append(refusal)
         for sample in inputs.samples:
             self._sensors.receive(sample)
         for event in inputs.bus_events:
@@ -387,6 +392,8 @@ class Engine:
 
     def _other_faults(self, measured: Measured) -> list[Fault]:
         """Buses that are down, and joints that are heard but stand at an angle nobody knows."""
+        if not (self._buses_down or self._trust.unknown):
+            return []
         faults = [Fault(FaultKind.BUS, bus, text, latched=False) for bus, text in self._buses_down.items()]
         for index, why in self._trust.unknown.items():
             if measured.positions[index] is not None:
@@ -625,9 +632,7 @@ class Engine:
         followed = self._followed(health)
         self._standstill.command(braking=self._limiter.at_rest or not followed, now_ns=now_ns)
         self._hold_or_release(now_ns)
-        may = [self._energised and ok for ok in self._may_be_commanded(health)]
-        if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
-            self._health.lose([index for index, ok in enumerate(may) if not ok])
+        may = self._may_be_commanded(health) if self._energised else self._none
         commands = motion.commands
         if self._slip is not None and (self._slip.now.ahead or self._correction.active):
             ahead = self._slip.now.ahead if measured.slipping else ()
@@ -635,8 +640,13 @@ class Engine:
             braking = self._mode in BRAKING
             correct = self._correction.corrected
             commands = correct(commands, ahead, wheels, measured.speeds, braking=braking, dt=measured.dt)
-        told = [command if ok else COAST for command, ok in zip(commands, may)]
-        return self._motors.command(told, measured)
+        return self._motors.command(commands if all(may) else self._released(commands, may), measured)
+
+    def _released(self, commands: Sequence[JointCommand], may: Sequence[bool]) -> list[JointCommand]:
+        """The commands without those of motors that may not be commanded; of an energised robot these are lost."""
+        if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
+            self._health.lose([index for index, ok in enumerate(may) if not ok])
+        return [command if ok else COAST for command, ok in zip(commands, may)]
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
         if self._mode is _ESTOP:
