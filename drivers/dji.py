@@ -148,7 +148,7 @@ class _Motor:
         "spec",
         "speed_rpm",
         "temperature",
-        "temperature_c",
+        "temperature_raw",
         "timeout_ns",
         "total_ticks",
         "twins",
@@ -175,7 +175,7 @@ class _Motor:
         self.total_ticks = 0
         self.speed_rpm = 0
         self.current_raw = 0
-        self.temperature_c: float | None = None
+        self.temperature_raw = 0
         self.twins = TwinWatch(spec, turn=tau)
         self.fault: DriverFault | None = None
 
@@ -196,8 +196,7 @@ class _Motor:
         self.angle_ticks = angle_ticks
         self.speed_rpm = speed_rpm
         self.current_raw = current_raw
-        if self.temperature:
-            self.temperature_c = float(temperature)
+        self.temperature_raw = temperature
         self.heard_ns = received_ns
         self.heard_until_ns = received_ns + self.timeout_ns
         if self.twins.take(angle_ticks * RAD_PER_TICK, speed_rpm * RAD_S_PER_RPM, received_ns) and self.fault is None:
@@ -244,7 +243,7 @@ class _Motor:
                 self.speed_rpm * RAD_S_PER_RPM,
                 None if self.raw_per_torque is None else self.current_raw / self.raw_per_torque,
                 None,
-                self.temperature_c,
+                float(self.temperature_raw) if self.temperature else None,
                 self.fault,
                 age_ns,
                 None,

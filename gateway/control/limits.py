@@ -126,6 +126,8 @@ class TwistLimiter:
         self._turn_x = TURNING_SHARE * acceleration[1]  # of |wz vx|, which accelerates along y
         self._turn_y = TURNING_SHARE * acceleration[0]
         self._zero: Rates = (0.0,) * len(velocity)
+        self._asked: Rates | None = None  # the last target, and what of it can be held: a command stays for some cycles
+        self._answer: tuple[Rates, tuple[str, ...]] = (self._zero, ())
         self.rates = self._zero
         self._rate = self._zero
 
@@ -225,6 +227,13 @@ class TwistLimiter:
 
     def _holdable(self, target: Rates, ground: Ground | None) -> tuple[Rates, tuple[str, ...]]:
         """The target within top speed and turning limit, and which of them shortened it."""
+        if ground is not None:  # which may give less than it did
+            return self._held_within(target, ground)
+        if target is not self._asked:
+            self._asked, self._answer = target, self._held_within(target, None)
+        return self._answer
+
+    def _held_within(self, target: Rates, ground: Ground | None) -> tuple[Rates, tuple[str, ...]]:
         wanted = scale_to(target, self._velocity)
         active: tuple[str, ...] = () if wanted is target else ("velocity",)
         turning = turning_excess(wanted, self._acceleration)

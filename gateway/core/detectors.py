@@ -160,7 +160,7 @@ class FrozenEncoderDetector(Detector):
         self._limits = limits
         self._position: float | None = None
         self._torque: float | None = None  # N m when the position last changed
-        self._speeds = (0.0, 0.0)  # rad/s at the last two changes of position: the very last may be frozen already
+        self._speed = self._speed_before = 0.0  # rad/s at the last two changes of position: the last may be frozen
         self._samples = 0
         self._time = 0.0
         self._strained = self._drifted = self._contradicted = 0.0
@@ -173,16 +173,18 @@ class FrozenEncoderDetector(Detector):
         if not x.fresh:
             return None
         if x.position != self._position:
-            self._position, self._speeds = x.position, (self._speeds[1], x.speed)
+            self._position, self._speed_before, self._speed = x.position, self._speed, x.speed
             self._torque = x.torque
-            self._samples = 0
-            self._time = self._strained = self._drifted = self._contradicted = 0.0
+            self._time = 0.0
+            if self._samples:  # else none of these was counted
+                self._samples = 0
+                self._strained = self._drifted = self._contradicted = 0.0
             return None
         self._samples += 1
         return self._judge(x)
 
     def _judge(self, x: Sample) -> str | None:
-        top, moved = self._limits.speed, max(self._speeds, key=abs)
+        top, moved = self._limits.speed, max(self._speed_before, self._speed, key=abs)
         fast = abs(moved) > (FREEZE_FROM_DRIVING if x.driving else FREEZE_FROM) * top
         if fast and self._samples >= FREEZE_SAMPLES and self._time >= FREEZE_TIME:
             return f"stopped dead from {moved:.2f} rad/s: its encoder is frozen, or the robot hit something"

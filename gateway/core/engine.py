@@ -463,7 +463,8 @@ class Engine:
 
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
-        well = not health.faults and all(health.usable)
+        whole = all(health.usable)
+        well = whole and not health.faults
         unarmed = self._motors.not_operational(health.usable)
         overdue = self._mode is _STARTING and now_ns - self._mode_since_ns > ARMING_TIMEOUT_NS
         mode = next_mode(
@@ -475,7 +476,7 @@ class Engine:
                 blocked=not well and self._ability is None,
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
-                reduced=not all(health.usable),
+                reduced=not whole,
                 commanded=selection.command is not None,
                 start=self._mode is _IDLE
                 and selection.command is not None
