@@ -233,9 +233,7 @@ class _Motor:
         state = _OPERATIONAL if self.commanded else _IDLE
         if self.fault is not None:
             state = _FAULT
-        age_ns = now_ns - self.heard_ns
-        if age_ns < 0:
-            age_ns = 0
+        age_ns = now_ns - self.heard_ns if now_ns > self.heard_ns else 0
         return _made(
             (
                 state if now_ns < self.heard_until_ns else _SILENT,

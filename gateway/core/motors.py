@@ -127,8 +127,7 @@ class Motors:
             if torque is not None and torque * behind > 0.0 and abs(torque) >= SATURATED * limits.torque:
                 return 0.0
             lag = abs(behind) / limits.speed
-            if lag > worst:
-                worst = lag
+            worst = lag if lag > worst else worst
         return min(1.0, max(0.0, (HEADROOM_TO - worst) / (HEADROOM_TO - HEADROOM_FROM)))
 
     def share_driven(self, measured: Measured, obeying: Sequence[bool]) -> float | None:
