@@ -71,6 +71,7 @@ FEEDBACK_ID: Final = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}  # + id; C6
 AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
 
 TICKS: Final = 8192  # per turn of the rotor; C610 manual, p. 9
+HALF_TURN: Final = TICKS / 2.0
 RAD_PER_TICK: Final = tau / TICKS
 RAD_S_PER_RPM: Final = tau / 60.0
 TICKS_PER_RPM_NS: Final = TICKS / 60e9
@@ -147,7 +148,7 @@ class _Motor:
         "spec",
         "speed_rpm",
         "temperature",
-        "temperature_c",
+        "temperature_raw",
         "timeout_ns",
         "total_ticks",
         "twins",
@@ -174,7 +175,7 @@ class _Motor:
         self.total_ticks = 0
         self.speed_rpm = 0
         self.current_raw = 0
-        self.temperature_c: float | None = None
+        self.temperature_raw = 0
         self.twins = TwinWatch(spec, turn=tau)
         self.fault: DriverFault | None = None
 
@@ -195,8 +196,7 @@ class _Motor:
         self.angle_ticks = angle_ticks
         self.speed_rpm = speed_rpm
         self.current_raw = current_raw
-        if self.temperature:
-            self.temperature_c = float(temperature)
+        self.temperature_raw = temperature
         self.heard_ns = received_ns
         self.heard_until_ns = received_ns + self.timeout_ns
         if self.twins.take(angle_ticks * RAD_PER_TICK, speed_rpm * RAD_S_PER_RPM, received_ns) and self.fault is None:
@@ -233,6 +233,7 @@ class _Motor:
         state = _OPERATIONAL if self.commanded else _IDLE
         if self.fault is not None:
             state = _FAULT
+        age_ns = now_ns - self.heard_ns if now_ns > self.heard_ns else 0
         return _made(
             (
                 state if now_ns < self.heard_until_ns else _SILENT,
@@ -240,11 +241,11 @@ class _Motor:
                 self.speed_rpm * RAD_S_PER_RPM,
                 None if self.raw_per_torque is None else self.current_raw / self.raw_per_torque,
                 None,
-                self.temperature_c,
+                float(self.temperature_raw) if self.temperature else None,
                 self.fault,
-                max(0, now_ns - self.heard_ns),
+                age_ns,
                 None,
-                max(0, now_ns - self.heard_ns),
+                age_ns,
             )
         )
 
@@ -502,4 +503,6 @@ def _moved_ticks(difference: int, expected: float) -> int:
     Without a gap the promise is small and this is the shortest way round. After one it is right as long as the mean
     speed of its two ends is within half a turn per gap of the true mean.
     """
+    if -HALF_TURN <= expected - difference <= HALF_TURN:  # no turn has ended since, as between most frames
+        return difference
     return difference + TICKS * _nearest((expected - difference) / TICKS)

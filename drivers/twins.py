@@ -33,7 +33,17 @@ _Reading = tuple[float, float, int]  # rad, rad/s, ns
 class TwinWatch:
     """Looks at the readings of one id. `turn`: rad after which the position starts anew; None: it never does."""
 
-    __slots__ = ("_before_jump", "_calm", "_last", "_max_speed", "_returns", "_slack", "_turn")
+    __slots__ = (
+        "_before_jump",
+        "_calm",
+        "_max_speed",
+        "_position",
+        "_received_ns",
+        "_returns",
+        "_slack",
+        "_turn",
+        "_velocity",
+    )
 
     def __init__(self, spec: MotorSpec, *, turn: float | None = None) -> None:
         self._max_speed = spec.max_speed
@@ -44,33 +54,43 @@ class TwinWatch:
 
     def forget(self) -> None:
         """What was seen so far says nothing about now."""
-        self._last: _Reading | None = None
+        self._position = self._velocity = 0.0  # of the last reading
+        self._received_ns: int | None = None  # there is none yet
         self._before_jump: _Reading | None = None
         self._returns = 0.0
 
     def take(self, position: float, velocity: float, received_ns: int) -> bool:
         """Take a reading, rad and rad/s at the motor shaft; whether two rotors are sure by now."""
-        reading = (position, velocity, received_ns)
-        last, self._last = self._last, reading
-        if last is None:
+        last_position, last_velocity, last_ns = self._position, self._velocity, self._received_ns
+        self._position, self._velocity, self._received_ns = position, velocity, received_ns
+        if last_ns is None:
             return False
         # The ordinary frame is near even without the time since the last one, and costs little.
-        near = -self._calm <= velocity - last[1] <= self._calm and (
-            abs(position - last[0]) <= NEAR + abs(velocity) * self._slack
+        near = abs(velocity - last_velocity) <= self._calm and (
+            abs(position - last_position) <= NEAR + abs(velocity) * self._slack
         )
-        if near or self._goes_on(last, reading):
-            if self._returns:
-                self._returns = max(0.0, self._returns - FADE)
+        if not near:
+            self._compare((last_position, last_velocity, last_ns), (position, velocity, received_ns))
+        elif self._returns:
+            self._fade()
+        return self._returns >= RETURNS
+
+    def _compare(self, last: _Reading, reading: _Reading) -> None:
+        """A reading that may be too far from the last one for one rotor."""
+        if self._goes_on(last, reading):
+            self._fade()
         else:
             self._jump(last, reading)
-        return self._returns >= RETURNS
+
+    def _fade(self) -> None:
+        self._returns = max(0.0, self._returns - FADE)
 
     def _jump(self, last: _Reading, reading: _Reading) -> None:
         before, self._before_jump = self._before_jump, last
         if before is not None and self._goes_on(before, reading):
             self._returns += 1.0
         else:
-            self._returns = max(0.0, self._returns - FADE)
+            self._fade()
 
     def _goes_on(self, before: _Reading, now: _Reading) -> bool:
         """Whether one rotor can have moved from one reading to the other."""

@@ -62,8 +62,9 @@ def excess(vector: Rates, limits: Rates) -> float:
     if len(vector) == _UNROLLED:
         x, y, z = vector
         limit_x, limit_y, limit_z = limits
-        worst = max(abs(x) / limit_x, abs(y) / limit_y)  # of two: that of three is a call
-        return max(worst, abs(z) / limit_z)
+        along, across, turn = abs(x) / limit_x, abs(y) / limit_y, abs(z) / limit_z
+        worst = across if across > along else along  # `max` is a call, and this is asked many times in a cycle
+        return turn if turn > worst else worst
     worst = 0.0
     for value, limit in zip(vector, limits):
         worst = max(worst, abs(value) / limit)
@@ -125,6 +126,8 @@ class TwistLimiter:
         self._turn_x = TURNING_SHARE * acceleration[1]  # of |wz vx|, which accelerates along y
         self._turn_y = TURNING_SHARE * acceleration[0]
         self._zero: Rates = (0.0,) * len(velocity)
+        self._asked: Rates | None = None  # the last target, and what of it can be held: a command stays for some cycles
+        self._answer: tuple[Rates, tuple[str, ...]] = (self._zero, ())
         self.rates = self._zero
         self._rate = self._zero
 
@@ -224,6 +227,13 @@ class TwistLimiter:
 
     def _holdable(self, target: Rates, ground: Ground | None) -> tuple[Rates, tuple[str, ...]]:
         """The target within top speed and turning limit, and which of them shortened it."""
+        if ground is not None:  # which may give less than it did
+            return self._held_within(target, ground)
+        if target is not self._asked:
+            self._asked, self._answer = target, self._held_within(target, None)
+        return self._answer
+
+    def _held_within(self, target: Rates, ground: Ground | None) -> tuple[Rates, tuple[str, ...]]:
         wanted = scale_to(target, self._velocity)
         active: tuple[str, ...] = () if wanted is target else ("velocity",)
         turning = turning_excess(wanted, self._acceleration)
@@ -305,7 +315,9 @@ def landing_slope(acceleration: Rates, jerk: Rates) -> float:
 
 def _left(limit: float, turning: float, way: float) -> float:
     against = turning if way > 0.0 else -turning
-    return min(limit, max(limit - against, LEAST_SHARE * limit))
+    if against <= 0.0:
+        return limit
+    return max(limit - against, LEAST_SHARE * limit)
 
 
 def _peak(a: float, to_a: float, b: float, to_b: float) -> float:

@@ -160,7 +160,7 @@ class FrozenEncoderDetector(Detector):
         self._limits = limits
         self._position: float | None = None
         self._torque: float | None = None  # N m when the position last changed
-        self._speeds = (0.0, 0.0)  # rad/s at the last two changes of position: the very last may be frozen already
+        self._speed = self._speed_before = 0.0  # rad/s at the last two changes of position: the last may be frozen
         self._samples = 0
         self._time = 0.0
         self._strained = self._drifted = self._contradicted = 0.0
@@ -173,16 +173,18 @@ class FrozenEncoderDetector(Detector):
         if not x.fresh:
             return None
         if x.position != self._position:
-            self._position, self._speeds = x.position, (self._speeds[1], x.speed)
+            self._position, self._speed_before, self._speed = x.position, self._speed, x.speed
             self._torque = x.torque
-            self._samples = 0
-            self._time = self._strained = self._drifted = self._contradicted = 0.0
+            self._time = 0.0
+            if self._samples:  # else none of these was counted
+                self._samples = 0
+                self._strained = self._drifted = self._contradicted = 0.0
             return None
         self._samples += 1
         return self._judge(x)
 
     def _judge(self, x: Sample) -> str | None:
-        top, moved = self._limits.speed, max(self._speeds, key=abs)
+        top, moved = self._limits.speed, max(self._speed_before, self._speed, key=abs)
         fast = abs(moved) > (FREEZE_FROM_DRIVING if x.driving else FREEZE_FROM) * top
         if fast and self._samples >= FREEZE_SAMPLES and self._time >= FREEZE_TIME:
             return f"stopped dead from {moved:.2f} rad/s: its encoder is frozen, or the robot hit something"
@@ -226,33 +228,34 @@ class RunawayDetector(Detector):
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._before: tuple[float, float] | None = None  # speed and error of the last new sample
+        self._speed = self._error = inf  # sizes of both in the last new sample; infinite: nothing grows beyond it
         self._begun = self._begun_speed = 0.0  # error and speed when they began to grow
         self._time = 0.0
         self._samples = 0
 
     def look(self, x: Sample) -> str | None:
-        if x.setpoint is None or x.speed is None:
-            self._before = None
+        setpoint, speed = x.setpoint, x.speed
+        if setpoint is None or speed is None:
+            self._speed = self._error = inf
             return None
         self._time += x.dt
         if not x.fresh:
             return None
-        speed, error = x.speed, x.speed - x.setpoint
-        before, self._before = self._before, (speed, error)
-        beyond = error * speed > 0.0
-        if before is None or not beyond or abs(error) <= abs(before[1]) or abs(speed) <= abs(before[0]):
-            self._begun, self._time, self._samples = abs(error), 0.0, 0
-            self._begun_speed = abs(speed)
+        beyond = (speed - setpoint) * speed > 0.0
+        size, error = abs(speed), abs(speed - setpoint)
+        grows = beyond and error > self._error and size > self._speed
+        self._speed, self._error = size, error
+        if not grows:
+            self._begun, self._begun_speed, self._time, self._samples = error, size, 0.0, 0
             return None
         self._samples += 1
         if self._samples < RUNAWAY_SAMPLES:
             return None
         # Of both: an error that grows because the setpoint goes away, as into an emergency stop, is not the motor's.
-        growth, top = min(abs(speed) - self._begun_speed, abs(error) - self._begun), self._limits.speed
+        growth, top = min(size - self._begun_speed, error - self._begun), self._limits.speed
         if self._time < RUNAWAY_TIME or growth < max(RUNAWAY_GROWTH, RUNAWAY_RATE * self._time) * top:
             return None
-        return f"runs away: {speed:.2f} rad/s and rising where {x.setpoint:.2f} rad/s is commanded"
+        return f"runs away: {speed:.2f} rad/s and rising where {setpoint:.2f} rad/s is commanded"
 
 
 class ReversedDetector:
@@ -269,8 +272,10 @@ class ReversedDetector:
         wheels = self._wheels
         known = True
         worst, most, other = 0, -inf, -inf  # the wheel with the most work, and the next most
+        dt = samples[0].dt if samples else 0.0
+        work_kept, burden_kept = max(0.0, 1.0 - dt / REVERSED_TIME), max(0.0, 1.0 - dt / REVERSED_MEMORY)
         for index, wheel in enumerate(wheels):
-            known = wheel.take(samples[index]) and known
+            known = wheel.take(samples[index], work_kept=work_kept, burden_kept=burden_kept) and known
             work = wheel.work
             if work > most:
                 worst, most, other = index, work, most
@@ -296,24 +301,25 @@ class _AgainstTorque:
         self._speed: float | None = None
         self.work = self.error = self.strained = self.burden = 0.0
 
-    def take(self, x: Sample) -> bool:
-        """Whether everything is known that is needed."""
+    def take(self, x: Sample, *, work_kept: float, burden_kept: float) -> bool:
+        """Whether everything is known that is needed. The shares are those that fading leaves in this cycle."""
         speed, torque = x.speed, x.torque
         if not x.driving or x.setpoint is None or speed is None or torque is None:
             self._speed, self.work, self.strained, self.burden = None, 0.0, 0.0, 0.0
             return False
-        self.work *= max(0.0, 1.0 - x.dt / REVERSED_TIME)
+        limits, strains = self._limits, self._limits.strained(torque)
+        self.work *= work_kept
         self.strained += x.dt
-        self.burden *= max(0.0, 1.0 - x.dt / REVERSED_MEMORY)
-        if self._limits.strained(torque):
+        self.burden *= burden_kept
+        if strains:
             self.burden += x.dt
         if not x.fresh:
             return True
-        limits, before, self._speed = self._limits, self._speed, speed
+        before, self._speed = self._speed, speed
         gained = 0.0 if before is None else (speed - before) / limits.speed
         self.work -= gained * torque / limits.torque
         self.error = abs(x.setpoint - speed) / limits.speed
-        if not limits.strained(torque) or gained * copysign(1.0, torque) > REVERSED_NOISE:
+        if not strains or gained * copysign(1.0, torque) > REVERSED_NOISE:
             self.strained = 0.0
         return True
 

@@ -21,7 +21,7 @@ from drivers.contract import CanFrame, MotorFeedback, MotorState
 from drivers.records import maker
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
-from gateway.control.drive_law import COAST, Measured, Motion
+from gateway.control.drive_law import COAST, JointCommand, Measured, Motion
 from gateway.control.limits import excess, scale_to
 from gateway.control.posture import Posture, Stance
 from gateway.control.slip_correction import SlipCorrection
@@ -146,6 +146,7 @@ class Engine:
         self._unheard = False  # on the way to rest the setpoint went to nobody, and no motor has told its speed since
         self._shutdown = False
         self._buses_down: dict[str, str] = {}
+        self._none = (False,) * len(robot.names)  # of the motors
         self._believable: tuple[bool, ...] = (True,) * len(robot.names)
         self._measured = self._motors.measure(0, self._period)  # nothing yet
         self._expected_speeds = tuple(partial(self._expected_speed, index) for index in range(len(robot.names)))
@@ -277,7 +278,11 @@ class Engine:
         self._motors.receive(inputs.frames)
         if self._sensors.ports:
             self._sensors.hear(inputs.frames)
-        refused = [refusal for refusal in map(self._arbiter.receive, inputs.commands) if refusal is not None]
+        refused = []
+        for command in inputs.commands:
+            refusal = self._arbiter.receive(command)
+            if refusal is not None:
+                refused.append(refusal)
         for sample in inputs.samples:
             self._sensors.receive(sample)
         for event in inputs.bus_events:
@@ -436,6 +441,8 @@ class Engine:
 
     def _other_faults(self, measured: Measured) -> list[Fault]:
         """Buses that are down, a fall, and joints that are heard but stand at an angle nobody knows."""
+        if not (self._buses_down or self._trust.unknown or self._posture):
+            return []
         faults = [Fault(FaultKind.BUS, bus, text, latched=False) for bus, text in self._buses_down.items()]
         if self._posture is not None and self._posture.fallen is not None:
             faults.append(Fault(FaultKind.FALLEN, self._robot_name, self._posture.fallen, latched=False))
@@ -520,7 +527,8 @@ class Engine:
 
     def _decide(self, inputs: Inputs, health: Health, selection: Selection, *, granted: bool) -> None:
         now_ns = inputs.now_ns
-        well = not health.faults and all(health.usable)
+        whole = all(health.usable)
+        well = whole and not health.faults
         unarmed = self._motors.not_operational(health.usable)
         overdue = self._mode is _STARTING and now_ns - self._mode_since_ns > ARMING_TIMEOUT_NS
         mode = next_mode(
@@ -532,7 +540,7 @@ class Engine:
                 blocked=not well and (self._ability is None or self._fallen),
                 latched=not well and any(fault.latched for fault in health.faults),
                 faulty=bool(health.faults),
-                reduced=not all(health.usable),
+                reduced=not whole,
                 commanded=selection.command is not None and self._may_drive,
                 start=self._mode is _IDLE
                 and selection.command is not None
@@ -708,9 +716,7 @@ class Engine:
         followed = self._followed(health)
         self._standstill.command(braking=self._limiter.at_rest or not followed, now_ns=now_ns)
         self._hold_or_release(now_ns)
-        may = [self._energised and ok for ok in self._may_be_commanded(health)]
-        if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
-            self._health.lose([index for index, ok in enumerate(may) if not ok])
+        may = self._may_be_commanded(health) if self._energised else self._none
         commands = motion.commands
         if self._slip is not None and (self._slip.now.ahead or self._correction.active):
             ahead = self._slip.now.ahead if measured.slipping else ()
@@ -718,8 +724,13 @@ class Engine:
             braking = self._mode in BRAKING
             correct = self._correction.corrected
             commands = correct(commands, ahead, wheels, measured.speeds, braking=braking, dt=measured.dt)
-        told = [command if ok else COAST for command, ok in zip(commands, may)]
-        return self._motors.command(told, measured)
+        return self._motors.command(commands if all(may) else self._released(commands, may), measured)
+
+    def _released(self, commands: Sequence[JointCommand], may: Sequence[bool]) -> list[JointCommand]:
+        """The commands without those of motors that may not be commanded; of an energised robot these are lost."""
+        if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
+            self._health.lose([index for index, ok in enumerate(may) if not ok])
+        return [command if ok else COAST for command, ok in zip(commands, may)]
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
         if self._mode is _ESTOP:

@@ -32,14 +32,19 @@ class JointTrust:
 
     def angles(self, positions: Sequence[float | None]) -> list[float | None]:
         """Output positions with every reference applied; those of silent joints are None, as they came."""
-        return [
-            position if position is None or index not in self._offsets else position + self._offsets[index]
-            for index, position in enumerate(positions)
-        ]
+        angles = list(positions)
+        for index, offset in self._offsets.items():
+            angle = angles[index]
+            if angle is not None:
+                angles[index] = angle + offset
+        return angles
 
     def trusted(self, angles: Sequence[float | None]) -> list[float | None]:
         """The angles without those that must not be believed."""
-        return [None if index in self.unknown else angle for index, angle in enumerate(angles)]
+        trusted = list(angles)
+        for index in self.unknown:
+            trusted[index] = None
+        return trusted
 
     def watch(self, angles: Sequence[float | None], jumped: Sequence[int], now_ns: int) -> None:
         """Take the angles of this cycle, and which of them moved further than they can."""

@@ -53,23 +53,26 @@ class Motors:
 
     def measure(self, now_ns: int, dt: float) -> Measured:
         """What the joints report now; of a silent one nothing is known."""
-        size = len(self._robot.names)
+        gears = self._robot.transmissions
+        size = len(gears)
         feedbacks = list(self.feedback)
         speeds: list[float | None] = [None] * size
         positions: list[float | None] = [None] * size
         torques: list[float | None] = [None] * size
+        ages_ns: list[int | None] = [None] * size
+        torque_ages_ns: list[int | None] = [None] * size
         for group in self._robot.groups:
             for index, feedback in zip(group.indices, group.driver.feedback(now_ns=now_ns)):
                 feedbacks[index] = feedback
-                if feedback.state is not _SILENT:
-                    gear = self._robot.transmissions[index]
-                    speeds[index], positions[index] = gear.output(feedback.velocity, feedback.position)
-                    torques[index] = gear.output_torque(feedback.torque)
+                state, position, velocity, torque, _, _, _, age_ns, _, torque_age_ns = feedback
+                ages_ns[index], torque_ages_ns[index] = age_ns, torque_age_ns
+                if state is not _SILENT:
+                    gear = gears[index]
+                    speeds[index], positions[index] = gear.output(velocity, position)
+                    torques[index] = gear.output_torque(torque)
         self.feedback = tuple(feedbacks)
-        ages_ns = tuple([feedback.age_ns for feedback in feedbacks])
-        known = tuple(speeds), tuple(positions), tuple(torques), ages_ns
-        torque_ages_ns = tuple([feedback.torque_age_ns for feedback in feedbacks])
-        return _measured((now_ns, dt, *known, (), None, False, None, None, (), torque_ages_ns))
+        known = tuple(speeds), tuple(positions), tuple(torques), tuple(ages_ns)
+        return _measured((now_ns, dt, *known, (), None, False, None, None, (), tuple(torque_ages_ns)))
 
     def command(self, commands: Sequence[JointCommand], measured: Measured) -> tuple[CanFrame, ...]:
         """Frames of this cycle."""
@@ -115,17 +118,18 @@ class Motors:
 
     def headroom(self, measured: Measured) -> float:
         """How far the setpoint may still grow, 1 to 0: motors at their torque limit, or that lag, cannot follow."""
-        lag = 0.0
+        worst = 0.0
         for setpoint, speed, torque, limits in zip(
             self.setpoints, measured.speeds, self.torques(measured), self._robot.limits
         ):
             if setpoint is None or speed is None:
                 continue
             behind = setpoint - speed
-            if torque is not None and abs(torque) >= SATURATED * limits.torque and torque * behind > 0.0:
+            if torque is not None and torque * behind > 0.0 and abs(torque) >= SATURATED * limits.torque:
                 return 0.0
-            lag = max(lag, abs(behind) / limits.speed)
-        return min(1.0, max(0.0, (HEADROOM_TO - lag) / (HEADROOM_TO - HEADROOM_FROM)))
+            lag = abs(behind) / limits.speed
+            worst = lag if lag > worst else worst
+        return min(1.0, max(0.0, (HEADROOM_TO - worst) / (HEADROOM_TO - HEADROOM_FROM)))
 
     def share_driven(self, measured: Measured, obeying: Sequence[bool]) -> float | None:
         """How much of its setpoint the motor turns that has kept most of it, 0 to 1; so none is braked by a step.
@@ -144,11 +148,11 @@ class Motors:
 
     def not_operational(self, usable: Sequence[bool]) -> list[int]:
         """Places of the usable motors that do not obey yet."""
-        return [
-            index
-            for index, (feedback, ok) in enumerate(zip(self.feedback, usable))
-            if ok and feedback.state is not _OPERATIONAL
-        ]
+        places = []
+        for index, feedback in enumerate(self.feedback):
+            if feedback.state is not _OPERATIONAL and usable[index]:
+                places.append(index)
+        return places
 
     def on_buses(self, buses: Sequence[str]) -> set[int]:
         """Places of the motors on the named buses."""

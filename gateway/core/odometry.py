@@ -54,8 +54,9 @@ def advance(pose: Pose, way: Displacement) -> Pose:
         s, c = sin_cos(turn)
         along, across = s / turn, (1.0 - c) / turn
     forward, left = along * dx - across * dy, across * dx + along * dy
-    s, c = sin_cos(pose.theta)
-    return _pose((pose.x + c * forward - s * left, pose.y + s * forward + c * left, pose.theta + turn))
+    x, y, theta = pose
+    s, c = sin_cos(theta)
+    return _pose((x + c * forward - s * left, y + s * forward + c * left, theta + turn))
 
 
 class WheelOdometry:
@@ -173,12 +174,13 @@ class WheelOdometry:
         if index in self._unseen:
             self._unseen.discard(index)
             before = None
-        elapsed = min((now_ns - self._seen_ns[index]) * 1e-9, _LONGEST_GAP)
+        elapsed = (now_ns - self._seen_ns[index]) * 1e-9
         self._positions[index], self._seen_ns[index] = position, now_ns
         if before is None:
             return None
         delta = position - before
-        if abs(delta) > _JUMP_FACTOR * self._top_speeds[index] * elapsed:
+        longest = _JUMP_FACTOR * self._top_speeds[index]  # rad per s
+        if abs(delta) > longest * (elapsed if elapsed < _LONGEST_GAP else _LONGEST_GAP):
             self._jumped.append(index)
             return None
         return delta
@@ -233,13 +235,14 @@ class WheelOdometry:
         return None if way is None else _displacement(way)
 
     def _move(self, way: Displacement, turn: float | None) -> None:
-        self._way += abs(way.x) + self._sideways.position * abs(way.y)
+        dx, dy, turned = way
+        self._way += abs(dx) + self._sideways.position * abs(dy)
         if turn is None:
-            self._turned += abs(way.turn)
-            self._turning_way += abs(way.x) + self._sideways.heading * abs(way.y)
+            self._turned += abs(turned)
+            self._turning_way += abs(dx) + self._sideways.heading * abs(dy)
             self.pose = advance(self.pose, way)
         else:
-            self.pose = advance(self.pose, Displacement(way.x, way.y, turn))
+            self.pose = advance(self.pose, _displacement((dx, dy, turn)))
 
     def _grow(self) -> None:
         """P <- F P F' + Q for the motion since the last call; F moves the lever of the heading error."""

@@ -38,6 +38,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
             "_kinematics",
             "_more",
             "_names",
+            "_none",
             "_period",
             "_robot_file",
             "_robot_name",

@@ -59,6 +59,7 @@ class OffsetDifferentialKinematics:
         self._offset = axle_offset
         self._lever = track / (2.0 * axle_offset)  # half track over offset: wheel speed per sideways speed
         self._caster = caster
+        self._seen, self._seen_rows = 0.0, self._rows(0.0)  # the joint angle measured last, rad
         self._reach = ReachTable(self.matrix())
 
     def wheel_speeds(self, rates: Rates, positions: Sequence[float | None]) -> list[float] | None:
@@ -81,7 +82,9 @@ class OffsetDifferentialKinematics:
         phi = positions[PLATFORM]
         if left is None or right is None or joint is None or phi is None:
             return None
-        (lx, ly), (rx, ry), (px, py) = self._rows(phi)
+        if phi != self._seen or phi == 0.0:  # the joint is measured more seldom than asked for; 0.0 equals -0.0
+            self._seen, self._seen_rows = phi, self._rows(phi)
+        (lx, ly), (rx, ry), (px, py) = self._seen_rows
         determinant = lx * ry - ly * rx
         vx = (left * ry - right * ly) / determinant
         vy = (right * lx - left * rx) / determinant

@@ -44,6 +44,8 @@ class RecordedOutputs(NamedTuple):
         return cls(outputs.frames, outputs.mode, outputs.events, outputs.replies, outputs.odometry)
 
 
+COMPARED = len(RecordedOutputs._fields)  # the first fields of Outputs
+assert Outputs._fields[:COMPARED] == RecordedOutputs._fields
 Cycle = tuple[Inputs, RecordedOutputs]
 
 
