@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import Client
 from gateway.config import parse
 from gateway.control.launch import FRICTION
 from gateway.core.settings import SPEED_OVERRIDE
@@ -44,10 +43,9 @@ def answered(
     return call.returncode, json.loads(said.splitlines()[-1])
 
 
-def setting(client: Client, name: str) -> float:
-    state = client.status()
-    assert state is not None
-    return next(one.value for one in state.status.settings if one.name == name)
+def await_setting(robot: RobotProcess, name: str, value: float) -> None:
+    """States come ten times a second: one that is older says what was set before."""
+    robot.await_state(lambda state: (name, value) in [(one.name, one.value) for one in state.status.settings])
 
 
 def here(robot: RobotProcess) -> tuple[float, float]:
@@ -75,19 +73,19 @@ def test_slip(tmp_path: Path, free_port: int) -> None:
         code, document = answered(robot, file, "yes")
         assert (code, document) == (1, {"ok": False, "reason": "speed_override = 0.5: must be 1 for it"})
         assert here(robot) == (0.0, 0.0)
-        assert setting(robot.client, FRICTION) == 0.8
+        await_setting(robot, FRICTION, 0.8)
         assert robot.client.set(SPEED_OVERRIDE.name, 1.0).ok
         code, document = answered(robot, file, "yes", interrupted=True)
         assert (code, document) == (1, {"ok": False, "reason": "interrupted"})
         here(robot)
-        assert setting(robot.client, FRICTION) == 0.8
+        await_setting(robot, FRICTION, 0.8)
         assert file.read_text() == before
         code, document = answered(robot, file, "yes")
         assert (code, document["ok"]) == (0, True)
         x, y = here(robot)
-        assert abs(x) < 0.5
+        assert abs(x) < 1.0  # half of it from the launch that was interrupted, which ends where it comes to rest
         assert abs(y) < 0.5
-        assert setting(robot.client, FRICTION) == 0.8  # what was found counts from the next start on
+        await_setting(robot, FRICTION, 0.8)  # what was found counts from the next start on
         robot.end()
         assert robot.verify().identical
     text = file.read_text()
