@@ -19,10 +19,11 @@ from gateway.control.limits import Ground
 from gateway.control.pendulum import Standing
 from gateway.control.posture import Posture
 from gateway.kinematics.contract import Kinematics, desaturate
-from gateway.types import Attitude, Facts, Rates, Region
+from gateway.types import Attitude, Event, Facts, Level, Rates, Region
 
 SWAY: Final = 0.1  # m/s at which a robot that balances on one spot may still roll
 LEAN_TIME: Final = 0.1  # s in which the lean of a new acceleration is taken up
+_LOST: Final = Event(Level.ERROR, "balance_lost", "a motor is lost, and it will fall: take hold of it")
 FARTHEST: Final = 0.5  # m that it may be away from where its setpoint is, as far as it is led back
 
 
@@ -59,13 +60,15 @@ class BalancingLaw:
         self._speed = 0.0  # m/s along x over the ground
         self._ahead = 0.0  # m of the way that it is before its setpoint
         self._told = 0.0  # m/s along x, as the wheels were told to roll
+        self._whole = True  # as of the cycle before
 
     @property
     def facts(self) -> Facts:
-        """Those of the wheels, how it stands, and how it leans."""
+        """Those of the wheels, how it stands and leans, and whether it can stay upright: four axes need four wheels."""
         attitude = self._posture.attitude
         pitch = None if attitude is None else attitude.pitch
-        return {**self._wheels.facts, "stance": self._posture.stance.value, "pitch": pitch}
+        whole = self._posture.whole
+        return {**self._wheels.facts, "stance": self._posture.stance.value, "pitch": pitch, "can_balance": whole}
 
     @property
     def features(self) -> Features:
@@ -147,7 +150,12 @@ class BalancingLaw:
         motion = self._wheels.motion((rolled, *rest), measured, braking=braking, path_rate=path_rate)
         commands = motion.commands if self._posture.strength == 1.0 else self._weakened(motion.commands)
         limits = motion.limits if share == 1.0 else (*motion.limits, "balance")
-        return Motion(commands, share, limits, (*motion.numbers, self._told), motion.events)
+        return Motion(commands, share, limits, (*motion.numbers, self._told), (*motion.events, *self._warned()))
+
+    def _warned(self) -> tuple[Event, ...]:
+        """That a motor is lost, once; what is left of the wheels goes on as well as it can."""
+        before, self._whole = self._whole, self._posture.whole
+        return (_LOST,) if before and not self._whole else ()
 
     def _balanced(self, setpoint: Rates, attitude: Attitude, measured: Measured) -> float:
         """M/s along x by which it stays upright on the way to this speed, and in this turn.

@@ -46,6 +46,7 @@ class Posture:
         self.attitude: Attitude | None = None
         self.stance = _DOWN
         self.fallen: str | None = None  # how, from the fall until it lies still
+        self.whole = True  # every motor obeys; the engine's, as of the cycle before
 
     @property
     def stands(self) -> bool:

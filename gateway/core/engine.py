@@ -173,6 +173,8 @@ class Engine:
             self._look_at(self._posture, measured)
         health = self._judge(measured)
         self._believable = health.brakable
+        if self._posture is not None:
+            self._posture.whole = all(health.usable)
         adrift = self._adrift(measured)
         selection = self._arbiter.select(now_ns)
         replies, granted = self._answer(inputs)

@@ -304,7 +304,13 @@ def test_without_a_motor_it_is_no_robot_that_drives_on(motor: int) -> None:
     name = robot.loop.config.robot.motor_names()[motor]
     robot.run(1.0, Twist(0.4, 0.0, 0.0))
     robot.loop.bus.robot.devices[name].power_off()
-    robot.run(6.0, Twist(0.4, 0.0, 0.0))
+    robot.run(0.2, Twist(0.4, 0.0, 0.0))
+    assert [event.text for event in robot.events if event.code == "balance_lost"] == [
+        "a motor is lost, and it will fall: take hold of it"
+    ]
+    robot.run(5.8, Twist(0.4, 0.0, 0.0))
+    status = next(out.status for _, out in reversed(robot.records) if out.status)
+    assert status.chassis["can_balance"] is False
     assert robot.mode in {Mode.FAULT, Mode.IDLE}
     assert any(event.code == "fault_silent" for event in robot.events)
 
