@@ -24,7 +24,6 @@ from gateway.types import Attitude, Event, Facts, Level, Rates, Region
 SWAY: Final = 0.1  # m/s at which a robot that balances on one spot may still roll
 LEAN_TIME: Final = 0.1  # s in which the lean of a new acceleration is taken up
 _LOST: Final = Event(Level.ERROR, "balance_lost", "a motor is lost, and it will fall: take hold of it")
-FARTHEST: Final = 0.5  # m that it may be away from where its setpoint is, as far as it is led back
 
 
 class BalancingLaw:
@@ -53,6 +52,8 @@ class BalancingLaw:
         self._commanded = tuple([top - reserve for top in top_speeds])
         self._top_speeds = tuple(top_speeds)
         self._torques = tuple(torques)
+        # Where it leans by `catch` against a push or a slope, and stands: no further away it is led back the harder.
+        self._farthest = standing.gains.pitch * standing.catch / standing.gains.position  # m
         self._taken_up = period / (period + LEAN_TIME)
         self._coasts = (COAST,) * len(self._top_speeds)
         self._reference = 0.0  # m/s, of the setpoint in the cycle before
@@ -171,7 +172,7 @@ class BalancingLaw:
         wanted = self._body.lean(change - wz * sideways)
         self._lean += self._taken_up * (wanted - self._lean)
         self._reference = reference
-        self._ahead = max(-FARTHEST, min(FARTHEST, self._ahead + (self._speed - reference) * dt))
+        self._ahead = max(-self._farthest, min(self._farthest, self._ahead + (self._speed - reference) * dt))
         return (
             reference
             + gains.pitch * (attitude.pitch - self._lean)

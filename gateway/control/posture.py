@@ -16,6 +16,7 @@ from gateway.types import Attitude
 READY_NS: Final = 10_000_000_000  # for so long after the request somebody holds it
 LOWERING_NS: Final = 1_000_000_000
 BLIND_NS: Final = 40_000_000  # without news of its pitch it goes on for so long by what was last known
+STUCK_NS: Final = 200_000_000  # a body that balances sways: what tells the very same for so long hangs
 FALLING_NS: Final = 1_000_000_000  # a fall lasts at least so long
 
 
@@ -43,6 +44,8 @@ class Posture:
         self._since_ns = 0
         self._now_ns = 0
         self._seen_ns = 0  # when how it leans was last known
+        self._told: Attitude | None = None  # by the sensor, and since when the very same
+        self._told_ns = 0
         self.attitude: Attitude | None = None
         self.stance = _DOWN
         self.fallen: str | None = None  # how, from the fall until it lies still
@@ -63,6 +66,10 @@ class Posture:
     def look(self, attitude: Attitude | None, now_ns: int) -> None:
         """Take how it leans in this cycle; None: not known."""
         self._now_ns = now_ns
+        if attitude is None or attitude != self._told:
+            self._told, self._told_ns = attitude, now_ns
+        elif self.stands and now_ns - self._told_ns > STUCK_NS:
+            attitude = None
         if _tells(attitude) or not self.stands or now_ns - self._seen_ns > BLIND_NS:
             self._seen_ns, self.attitude = now_ns, attitude
         if (self.stance is _READY and now_ns - self._since_ns > READY_NS) or (

@@ -111,8 +111,8 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     ),
     "gateway.control.posture.Posture": frozenset({"_catch", "_fall"}),
     "gateway.control.balance.BalancingLaw": frozenset(
-        {"_acceleration", "_body", "_coasts", "_commanded", "_gains", "_kinematics", "_radius", "_taken_up"}
-        | {"_top_speeds", "_torques"}
+        {"_acceleration", "_body", "_coasts", "_commanded", "_farthest", "_gains", "_kinematics", "_radius"}
+        | {"_taken_up", "_top_speeds", "_torques"}
     ),
     "gateway.control.steering.Steering": frozenset({"_gains", "_most"}),
     "gateway.control.odd_width.WidthEstimate": frozenset({"_gate", "_narrowest", "_sensor", "_widest"}),

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.config import ConfigError, parse
 from gateway.control.balance import SWAY
-from gateway.control.posture import BLIND_NS, LOWERING_NS, READY_NS
+from gateway.control.posture import BLIND_NS, LOWERING_NS, READY_NS, STUCK_NS
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
 from gateway.types import ZERO_TWIST, Attitude, Mode, Outputs, Reply, Request, RequestKind, Twist
@@ -296,6 +296,25 @@ def test_without_its_imu_it_lets_go(imu: Imu) -> None:
     robot.run(4.0, ZERO_TWIST)
     assert robot.is_in(Mode.IDLE)
     assert never_pushed(robot, first)
+
+
+def test_an_imu_that_hangs_lets_go() -> None:
+    """Its frames go on, each counted, with the same numbers in them."""
+    robot = Upright(attended=False, can=True).stand_up()
+    robot.loop.bus.robot.sensors["imu"].signals["attitude"].stuck = True
+    took = robot.run(1.0, ZERO_TWIST, until=lambda now: now.mode is not Mode.DRIVE)
+    assert took < (STUCK_NS + BLIND_NS) * 1e-9 + 0.02
+    assert fallen(robot)
+
+
+@pytest.mark.parametrize("push", [15.0, -15.0])
+def test_pushed_for_long_it_leans_and_stands(push: float) -> None:
+    robot = Upright(can=True).stand_up()
+    robot.plant.push = push
+    robot.run(10.0, ZERO_TWIST)
+    assert robot.is_in(Mode.DRIVE)
+    assert abs(robot.plant.twist.vx) < 0.03
+    assert 0.3 < abs(robot.plant.pose.x) < 1.0
 
 
 @pytest.mark.parametrize("motor", range(4))

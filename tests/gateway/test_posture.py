@@ -1,15 +1,21 @@
 """How a robot that balances stands: each request, each time and each lean to its last step."""
 
+from itertools import count
+
 import pytest
 
-from gateway.control.posture import BLIND_NS, FALLING_NS, LOWERING_NS, READY_NS, Posture, Stance
+from gateway.control.posture import BLIND_NS, FALLING_NS, LOWERING_NS, READY_NS, STUCK_NS, Posture, Stance
 from gateway.types import Attitude
 
 PITCH = pytest.mark.parametrize("way", [1.0, -1.0])
 
 
+_swayed = count()
+
+
 def leaning(pitch: float = 0.0) -> Attitude:
-    return Attitude(0.0, pitch, pitch_rate=0.0)
+    """Never the very same twice: a body that balances sways."""
+    return Attitude(0.0, pitch, pitch_rate=1e-6 * next(_swayed))
 
 
 def ready() -> Posture:
@@ -71,11 +77,29 @@ def test_it_falls_beyond_its_limit(way: float) -> None:
 @pytest.mark.parametrize("told", [None, Attitude(0.0, 0.0)])
 def test_it_falls_when_nobody_knows_how_it_leans(told: Attitude | None) -> None:
     posture = up()
-    posture.look(leaning(0.02), 5)
+    last = leaning(0.02)
+    posture.look(last, 5)
     posture.look(told, 5 + BLIND_NS)
-    assert (posture.stance, posture.attitude) == (Stance.UP, leaning(0.02))
+    assert (posture.stance, posture.attitude) == (Stance.UP, last)
     posture.look(told, 6 + BLIND_NS)
     assert (posture.stance, posture.fallen) == (Stance.DOWN, "how it leans is not known any more")
+
+
+def test_a_sensor_that_tells_the_very_same_for_long_tells_nothing() -> None:
+    posture, same = up(), leaning(0.02)
+    for now_ns in range(0, STUCK_NS + 1, 4_000_000):
+        posture.look(same, now_ns)
+    assert posture.stance is Stance.UP
+    for now_ns in range(STUCK_NS + 4_000_000, STUCK_NS + BLIND_NS + 8_000_000, 4_000_000):
+        posture.look(same, now_ns)
+    assert posture.fallen == "how it leans is not known any more"
+
+
+def test_on_its_stand_it_may_tell_the_same_for_ever() -> None:
+    posture, same = ready(), leaning(0.02)
+    for now_ns in (0, STUCK_NS, 2 * STUCK_NS):
+        posture.look(same, now_ns)
+    assert posture.objection() is None
 
 
 def test_let_down_it_gives_way_within_its_time() -> None:
