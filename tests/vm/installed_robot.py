@@ -114,8 +114,12 @@ def main_pid() -> int:
 
 
 def recorder_pid() -> int:
-    """Process id of its only child."""
-    children = run("ps", "-o", "pid=", "--ppid", str(main_pid())).output.split()
+    """Process id of the only child of its only child, which starts recorders."""
+    return _only_child(_only_child(main_pid()))
+
+
+def _only_child(process: int) -> int:
+    children = run("ps", "-o", "pid=", "--ppid", str(process)).output.split()
     assert len(children) == 1, children
     return int(children[0])
 
