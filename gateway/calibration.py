@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from gateway.client import Client
 from gateway.commander import ANSWER_TIMEOUT_S, REST_TIMEOUT_S, objection, rest, start, stream
 from gateway.config import RobotConfig
-from gateway.control.launch import FRICTION, LEAST_FRICTION, MOST_FRICTION, SAFE
+from gateway.control.launch import FRICTION, LEAST_FRICTION, LOOKS, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
 from gateway.core.settings import SPEED_OVERRIDE
 from gateway.types import ZERO_TWIST, Mode, Status
@@ -28,6 +28,7 @@ FINE: Final = 1.05  # in the others
 HARDER: Final = 1.15  # than where wheels began to slip: what the floor gives is told there
 _SAME: Final = 1e-3  # of a friction
 DWELL: Final = 0.15  # s of the full push; slip is looked for every 0.04 s
+TRIES: Final = 10  # of a launch in which nobody looked for slip: a loop that is late does not, for a while
 
 
 class CalibrationError(RuntimeError):
@@ -144,18 +145,22 @@ def _round(plans: Plans, drive: Callable[[Launch], float], axis: Axis, begin: fl
     friction = begin
     while friction <= MOST_FRICTION:
         given = _pair(plans.launch(axis, friction), drive)
-        if given:
-            return Found(axis, max([*given, *_harder(plans, drive, axis, friction * HARDER)]), friction)
+        harder = _harder(plans, drive, axis, friction * HARDER) if given else []
+        if harder is None or harder:
+            return Found(axis, max([*given, *(harder or ())]), friction)
         friction *= ratio
     raise CalibrationError(f"{axis.value}: nothing slipped, and more than a friction of {friction / ratio:.2f} is none")
 
 
-def _harder(plans: Plans, drive: Callable[[Launch], float], axis: Axis, friction: float) -> list[float]:
-    """What the floor gives wheels that slip from the start on, which tells it better; nothing where limits forbid."""
+def _harder(plans: Plans, drive: Callable[[Launch], float], axis: Axis, friction: float) -> list[float] | None:
+    """What the floor gives wheels that slip from the start on, which tells it better; None where limits forbid.
+
+    Nothing, where they do not slip: then what was seen before was no slip either.
+    """
     try:
         return _pair(plans.launch(axis, friction), drive)
     except LimitError:
-        return []
+        return None
 
 
 def _pair(out: Launch, drive: Callable[[Launch], float]) -> list[float]:
@@ -176,7 +181,20 @@ class Driver:
         self._given = given
 
     def __call__(self, launch: Launch) -> float:
-        """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError."""
+        """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError.
+
+        One that was not looked at says nothing of the floor, and is done again.
+        """
+        for _ in range(TRIES):
+            before = self._fact(LOOKS)
+            friction = self._launch(launch)
+            if friction < launch.friction or self._fact(LOOKS) > before:
+                return friction
+        raise CalibrationError(
+            f"in {TRIES} launches there was no time to look for slip: the loop of the service is late too often"
+        )
+
+    def _launch(self, launch: Launch) -> float:
         client, source = self._client, self._source
         answer = client.set(FRICTION, launch.friction, ANSWER_TIMEOUT_S)
         if not answer.ok:
@@ -190,10 +208,14 @@ class Driver:
             raise CalibrationError(f"did not come to rest within {REST_TIMEOUT_S:g} s")
         if reason is not None:
             raise CalibrationError(reason)
-        friction = self._whole().chassis.get(FRICTION)
-        if not isinstance(friction, float):
-            raise CalibrationError(f"the robot does not tell its {FRICTION}")
-        return friction
+        return self._fact(FRICTION)
+
+    def _fact(self, name: str) -> float:
+        """Of the chassis, as a whole robot tells it. Raises CalibrationError."""
+        value = self._whole().chassis.get(name)
+        if not isinstance(value, float):
+            raise CalibrationError(f"the robot does not tell its {name}")
+        return value
 
     def put_back(self) -> None:
         """After the last launch, however it ended: the robot goes by the friction of its file, as after its start.

@@ -35,6 +35,7 @@ LEAST_FRICTION: Final = 0.05  # of the load, of rollers on a floor
 MOST_FRICTION: Final = 2.0
 FRICTION: Final = "friction"  # facts of the chassis in `state`: as it is taken to be ...
 LAUNCH: Final = "launch"  # ... and whether it is launched
+LOOKS: Final = "launch_looks"  # ... and how often its wheels were looked at in the full push of a launch
 SLIPPED: Final = "launch_slipped"  # the event
 MARGIN: Final = 0.965  # of what the floor gives, that is asked of it
 LEAST_EFFORT: Final = 0.02  # of the acceleration limits, left where a curve takes all that the floor gives
@@ -142,8 +143,9 @@ class LaunchLaw:
 
     @property
     def facts(self) -> Facts:
-        """Friction as it is taken to be, and whether it is launched."""
-        return {FRICTION: self.friction, LAUNCH: self._told is not None and self._told.launch}
+        """Friction as it is taken to be, whether it is launched, and how often that was looked at for slip."""
+        launch = self._told is not None and self._told.launch
+        return {FRICTION: self.friction, LAUNCH: launch, LOOKS: float(self._slip.looks)}
 
     @property
     def features(self) -> Features:

@@ -26,10 +26,11 @@ AHEAD: Final = 0.01  # of top speed, by which a wheel that slips runs ahead, whe
 LOOK_TIME: Final = 0.04  # s, from one look to the next
 TOLD: Final = 0.4  # of the cycles in which a torque must be a new one: many tell it more seldom than speed
 PAUSE: Final = 0.12  # s, after one that found slip, and after a late cycle
-LATE: Final = 1.5  # periods of the loop: meanwhile the motors went on with what they were told before
+LATE: Final = 2.0  # periods of the loop, in which the motors went on with what they were told before
 MOTOR_SHARE: Final = 0.98  # of a motor's torque that a launch takes; the rest is for its speed control and friction
 _LEAST: Final = 1e-3  # N m
 BACK_OFF: Final = 0.85  # of the friction, where what the floor gave is not known
+_FULL: Final = 0.8  # of what a wheel bears: with less, a look says nothing of the floor
 
 
 class Losses(NamedTuple):
@@ -78,6 +79,7 @@ class LaunchSlip:
         self._losses = losses
         self._top_speeds = tuple(top_speeds)
         self._longest = LATE * period
+        self.looks = 0  # that wheels were given at a full push
         self._looking = False
         self._pause = 0.0  # s, until the next look
         self._given: list[float] = []  # N m s meant for wheel and floor
@@ -130,6 +132,7 @@ class LaunchSlip:
         self._looking = False
         if not _speeds_up(told.rates, measured.speeds):
             return None
+        self.looks += _is_full(told)
         begun, due = self._begun
         pushed = [self._pushed(index, first, now) for index, (first, now) in enumerate(zip(begun, measured.speeds))]
         felt = self._driven(pushed, told.felt)
@@ -217,6 +220,11 @@ class LaunchSlip:
         shift_x, shift_y = self._grip.shifts[index]
         load = self._grip.resting[index] + shift_x * x + shift_y * y
         return self._radii[index] * max(load, 0.01 * self._grip.resting[index])
+
+
+def _is_full(told: Told) -> bool:
+    """Whether a wheel pushes with nearly all that it bears."""
+    return any(abs(torque) >= _FULL * bears for torque, bears in zip(told.torques, told.bears))
 
 
 def _speeds_up(rates: Sequence[float], speeds: Sequence[float | None]) -> bool:

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from datetime import date
 from pathlib import Path
 from types import MappingProxyType
+from unittest.mock import Mock
 
 import pytest
 
-from gateway.calibration import Axis, CalibrationError, Found, Launch, Plans, find
+from gateway.calibration import HARDER, TRIES, Axis, CalibrationError, Driver, Found, Launch, Plans, find
 from gateway.cli import calibrate
 from gateway.config import load, parse
-from gateway.control.launch import FRICTION
+from gateway.control.launch import FRICTION, LOOKS, SAFE
 from gateway.types import ZERO_TWIST, Facts, Request, RequestKind, Twist
 from tests.world import World, robot_text
 
@@ -43,6 +44,7 @@ class Robot:
         self.world.bus.robot.set_floor(friction)
         self.furthest = 0.0
         self.launches: list[Launch] = []
+        self.facts: Facts = {}
 
     def drive(self, launch: Launch, late: Mapping[int, int] = MappingProxyType({})) -> float:
         """`late`: ms without a cycle, by the number of the one before."""
@@ -51,16 +53,15 @@ class Robot:
         setting = Request(RequestKind.SET, 1, at, setting=FRICTION, value=launch.friction)
         assert world.cycle(requests=[setting]).replies[0].ok
         twist = Twist(launch.speed, 0.0, 0.0) if launch.axis is Axis.X else Twist(0.0, launch.speed, 0.0)
-        facts: Facts = {}
         for wanted, seconds in ((twist, launch.seconds), (ZERO_TWIST, launch.seconds + 0.5)):
             for number in range(round(seconds * 1e9 / world.period_ns)):
                 if number in late and wanted is twist:
                     world.loop.pause(world.now_ns + late[number] * 1_000_000)
                 outputs = world.cycle(commands=[world.command(wanted)])
-                facts = facts if outputs.status is None else outputs.status.chassis
+                self.facts = self.facts if outputs.status is None else outputs.status.chassis
                 pose = world.bus.robot.truth.pose
                 self.furthest = max(self.furthest, abs(pose.x), abs(pose.y))
-        friction = facts[FRICTION]
+        friction = self.facts[FRICTION]
         assert isinstance(friction, float)
         return friction
 
@@ -97,6 +98,57 @@ def test_a_round_goes_up_out_and_back_until_wheels_slip() -> None:
     for out, back in zip(asked[::2], asked[1::2], strict=True):
         assert out.speed == -back.speed > 0.0
         assert out[:2] == back[:2]
+
+
+def test_slip_that_a_harder_launch_does_not_show_was_none() -> None:
+    """As a loop that was late may make it look."""
+    asked: list[Launch] = []
+
+    def drive(launch: Launch) -> float:
+        asked.append(launch)
+        slips = launch.friction > LIMIT or len(asked) in {1, 12, 31}
+        return min(GIVEN, 0.9 * launch.friction) if slips else launch.friction
+
+    found = find(plans(), drive, rounds=2)
+    assert all(LIMIT < HARDER * one.taken_for <= HARDER * LIMIT * STEP for one in found)
+    assert [one.friction for one in found] == [pytest.approx(GIVEN / SAFE)] * 4
+
+
+class Unseen:
+    """A client of a robot that goes by its friction whatever the floor; its loop is late in the first launches."""
+
+    def __init__(self, late: int) -> None:
+        self.late, self.launches, self.looks = late, 0, 0.0
+
+    def drive(self, launch: Launch) -> float:
+        self.launches += 1
+        self.looks += self.launches > self.late
+        return launch.friction
+
+
+@pytest.mark.parametrize("late", [0, 3, TRIES])
+def test_a_launch_that_was_not_looked_at_is_done_again(monkeypatch: pytest.MonkeyPatch, late: int) -> None:
+    robot = Unseen(late)
+    monkeypatch.setattr(Driver, "_launch", lambda _, launch: robot.drive(launch))
+    monkeypatch.setattr(Driver, "_fact", lambda _, name: {LOOKS: robot.looks}[name])
+    driver = Driver(Mock(), "teleop", 0.8)
+    launch = Launch(Axis.X, 0.4, 1.0, 0.3)
+    if late < TRIES:
+        assert driver(launch) == launch.friction
+        assert robot.launches == late + 1
+    else:
+        with pytest.raises(CalibrationError, match="no time to look for slip"):
+            driver(launch)
+
+
+def test_looks_are_told_and_need_a_full_push_and_time() -> None:
+    robot, launch = Robot(0.4), plans().launch(Axis.X, 0.3)
+    robot.drive(launch)
+    seen = robot.facts[LOOKS]
+    assert isinstance(seen, float)
+    assert seen > 0.0
+    robot.drive(launch, late=dict.fromkeys(range(0, 80, 8), 30))
+    assert robot.facts[LOOKS] == seen
 
 
 class Endless(Plans):
