@@ -24,6 +24,7 @@ SATURATED: Final = 0.98  # of the torque limit
 TAKE_UP_FROM: Final = 0.02  # of top speed; less is no step, whatever becomes of it
 _SPEEDS: Final = (CommandKind.VELOCITY, CommandKind.BRAKE)  # the kinds whose value is a speed to be reached
 TORQUE_AGE_NS: Final = 30_000_000  # an older torque says nothing of now
+BEHIND: Final = 0.01  # of top speed, from which a motor at its limit does not follow; a launch takes all it has
 HEADROOM_FROM: Final = 0.05  # of top speed: lag at which the setpoint may grow slower ...
 HEADROOM_TO: Final = 0.08  # ... and not at all
 
@@ -125,9 +126,10 @@ class Motors:
             if setpoint is None or speed is None:
                 continue
             behind = setpoint - speed
-            if torque is not None and torque * behind > 0.0 and abs(torque) >= SATURATED * limits.torque:
-                return 0.0
             lag = abs(behind) / limits.speed
+            pulls = torque is not None and torque * behind > 0.0 and abs(torque) >= SATURATED * limits.torque
+            if pulls and lag > BEHIND:
+                return 0.0
             worst = lag if lag > worst else worst
         return min(1.0, max(0.0, (HEADROOM_TO - worst) / (HEADROOM_TO - HEADROOM_FROM)))
 
