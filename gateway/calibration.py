@@ -191,7 +191,8 @@ class Driver:
             if friction < launch.friction or self._fact(LOOKS) > before:
                 return friction
         raise CalibrationError(
-            f"in {TRIES} launches there was no time to look for slip: the loop of the service is late too often"
+            f"in {TRIES} launches nothing could tell slip: the loop of the service is late too often, or motors tell "
+            "their torque less than a hundred times a second"
         )
 
     def _launch(self, launch: Launch) -> float:

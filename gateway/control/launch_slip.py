@@ -79,7 +79,7 @@ class LaunchSlip:
         self._losses = losses
         self._top_speeds = tuple(top_speeds)
         self._longest = LATE * period
-        self.looks = 0  # that wheels were given at a full push
+        self.looks = 0  # at a full push, of which all torques were told: others would not show it
         self._looking = False
         self._pause = 0.0  # s, until the next look
         self._given: list[float] = []  # N m s meant for wheel and floor
@@ -132,9 +132,9 @@ class LaunchSlip:
         self._looking = False
         if not _speeds_up(told.rates, measured.speeds):
             return None
-        self.looks += _is_full(told)
         begun, due = self._begun
         pushed = [self._pushed(index, first, now) for index, (first, now) in enumerate(zip(begun, measured.speeds))]
+        self.looks += None not in pushed and _is_full(told)
         felt = self._driven(pushed, told.felt)
         slips, most, given = measured.slipping, 0.0, 0.0
         meant = [

@@ -10,6 +10,7 @@ import pytest
 
 from gateway.core.engine import Engine
 from gateway.types import ZERO_TWIST, Mode, Twist
+from replay.sim.controllers.odrive_tables import FIRMWARES, Command
 from tests.launches import FRICTIONS, Launch, best, equal_torques, robot
 from tests.world import World
 
@@ -193,3 +194,23 @@ def test_torques_told_ten_times_a_second_are_no_evidence_of_a_lost_one() -> None
     launch = Launch("omni4_odrive", 3, 0.8, told=0.8)
     assert launch.slip < 0.02
     assert not [code for code in launch.codes if code.startswith("fault_")]
+
+
+@pytest.mark.parametrize(("rate", "told"), [(10.0, False), (100.0, True)])
+def test_slip_is_seen_where_torques_are_told_a_hundred_times_a_second(
+    monkeypatch: pytest.MonkeyPatch, rate: float, told: bool
+) -> None:
+    """ODrives as they are delivered tell them ten times: then nobody looked, and `launch_looks` says so."""
+    firmware = FIRMWARES["0.6"]
+    rates = tuple((one, rate if one is Command.GET_TORQUES_06 else hz) for one, hz in firmware.slow_cyclic)
+    monkeypatch.setitem(FIRMWARES, "0.6", firmware._replace(slow_cyclic=rates))
+    for eighth in range(4):
+        slipping = Launch("omni4_odrive", eighth, 0.3, told=0.8, seconds=1.2)
+        assert ("launch_slipped" in slipping.codes) is told
+        assert (slipping.law.friction < 0.3) is told
+        gripping = Launch("omni4_odrive", eighth, 0.3, told=0.3)
+        assert "launch_slipped" not in gripping.codes
+        for launch in (slipping, gripping):
+            looks = launch.law.facts["launch_looks"]
+            assert isinstance(looks, float)
+            assert (looks > 0.0) is told
