@@ -71,14 +71,17 @@ def send(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an opti
         complain(str(error))
         raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect, zero_on_exit=True) as client:
-        reason = _send(client, source, twist, seconds, width=width, width_rate=width_rate)
+        reason, limits = _send(client, source, twist, seconds, width=width, width_rate=width_rate)
         refusals = list(dict.fromkeys(event.text for event in client.events() if is_refusal(event, source)))
         odometry = client.odometry()
     pose = None if odometry is None else Pose(odometry.x, odometry.y, odometry.theta)
     if json:
-        print_json({"ok": reason is None, "reason": reason, "refusals": refusals, "pose": pose and pose._asdict()})
+        found = {"ok": reason is None, "reason": reason, "limits_active": limits, "refusals": refusals}
+        print_json(found | {"pose": pose and pose._asdict()})
     elif pose is not None:
         console.print(f"at x {pose.x:z.3f} m, y {pose.y:z.3f} m, theta {pose.theta:z.3f} rad")
+        if limits:
+            console.print(f"held back to its end by: {', '.join(limits)}", highlight=False)
     for refusal in refusals:
         complain(f"refused: {refusal}")
     if reason is not None:
@@ -88,19 +91,21 @@ def send(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an opti
 
 def _send(
     client: Client, source: str, twist: Twist, seconds: float, *, width: float | None, width_rate: float | None
-) -> str | None:
-    """Drives; what was not as asked, None: all was."""
+) -> tuple[str | None, tuple[str, ...]]:
+    """Drives; what was not as asked, None: all was; and the limits that held it back to the end of its time."""
     if not start(client, source):
-        return f"does not start: {objection(client, source) or 'it drove too late'}"
+        return f"does not start: {objection(client, source) or 'it drove too late'}", ()
     before = client.odometry()
     reason = stream(client, source, *twist, seconds=seconds, width=width, width_rate=width_rate)
+    state = client.state()
+    limits = () if state is None else state.status.limits_active
     if not rest(client, source) and reason is None:
-        return f"did not come to rest within {REST_TIMEOUT_S:g} s"
+        return f"did not come to rest within {REST_TIMEOUT_S:g} s", limits
     after = client.odometry()
     moved = before is None or after is None or before[1:4] != after[1:4]
     if reason is None and twist != ZERO_TWIST and seconds > 0.0 and not moved:
-        return "nothing moved"
-    return reason
+        return "nothing moved", limits
+    return reason, limits
 
 
 def mode_words(client: Client) -> str:

@@ -142,6 +142,8 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         faster = drivegate("set", "omni4", "speed_override", "2")
         assert faster.returncode == 1
         assert "refused: speed_override = 2: must be 0.05 to 1 of limits.velocity" in faster.stderr.replace("\n", " ")
+        held = drivegate("send", "omni4", "--vx", "2", "--for", "0.5", "--json")
+        assert json.loads(held.stdout.splitlines()[-1])["limits_active"] == ["speed_override", "acceleration"]
         stopped = drivegate("stop", "omni4", "--json")
         assert stopped.returncode == 0, stopped.stderr
         assert json.loads(stopped.stdout)["ok"] is True
