@@ -21,6 +21,7 @@ from gateway.types import ZERO_TWIST, Mode, Outputs, Twist, TwistCommand, TwistF
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant, PlantName
+from replay.sim.plants.omni_dynamics import OmniDynamics, Stribeck
 from tests.world import robot_text
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ GRAVITY = 9.81  # m/s^2
 TOP = 1.0  # m/s
 CREEP = 0.1  # m/s, below which a speed is too little to hold a slip against
 FRICTIONS = (0.8, 0.3)
+FALLING = Stribeck(0.6, 0.1)  # of the friction at rest, left at much more than 0.1 m/s of slip
 BODY = "acceleration = {{ vx = {0}, vy = {0}, wz = {1} }}\njerk = {{ vx = {2}, vy = {2}, wz = {3} }}"
 EAGER = BODY.format(9.0, 30.0, 75.0, 240.0)  # beyond what any floor here gives
 HEIGHT = 0.06  # m, where the robot file has none
@@ -94,7 +96,8 @@ PLANTS: Mapping[str, Callable[[OmniRobot, float], Plant]] = {"dynamics": dynamic
 class Launch:
     """From rest to TOP and to rest again in one direction; what really happened.
 
-    `friction`: of the floor; `told`: by the robot file, None: nothing. `turn`: rad/s besides.
+    `friction`: of the floor; `told`: by the robot file, None: nothing. `turn`: rad/s besides. `stribeck`: the friction
+    falls with slip.
     """
 
     def __init__(
@@ -109,11 +112,15 @@ class Launch:
         stop: bool = True,
         turn: float = 0.0,
         saturation: str = "both",
+        stribeck: Stribeck | None = None,
     ) -> None:
         self.config = robot(name, told, saturation=saturation)
         chassis = self.config.robot
         assert isinstance(chassis, OmniRobot)
         self.plant = PLANTS[plant](chassis, friction)
+        if stribeck is not None:
+            assert isinstance(self.plant, OmniDynamics)
+            self.plant.stribeck = stribeck
         self.loop = ClosedLoop(self.config, plant=self.plant)
         self.speeds: list[float] = []
         self.slips: list[float] = []
@@ -141,6 +148,12 @@ class Launch:
         low, high = (next(at for at, speed in enumerate(speeds) if speed >= share * TOP) for share in (0.3, 0.7))
         begun, ended = (_crossed(times, speeds, at, share * TOP) for at, share in ((low, 0.3), (high, 0.7)))
         return 0.4 * TOP / (ended - begun)
+
+    @property
+    def seconds_to_speed(self) -> float:
+        """S from the command to nine tenths of the speed, inf if it is not reached."""
+        times = (at for at, speed in enumerate(self.speeds[: self.launched]) if speed >= 0.9 * TOP)
+        return next(times, inf) / self.config.loop.rate
 
     @property
     def slip(self) -> float:

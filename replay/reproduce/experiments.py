@@ -42,7 +42,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "rojas-fig4": Experiment("Figure 4: effective motors", rojas.figure_4, 3),
     "rojas-fig9": Experiment("Figure 9: what of the speed the rollers provide", rojas.figure_9, 5),
     "rojas-fig10": Experiment("Figure 10: constant torque by voltage steps", rojas_launch.figure_10, 2),
-    "rojas-launch": Experiment("Sections 7 and 8: launched without slip", rojas_launch.launches, 10),
+    "rojas-launch": Experiment("Sections 7 and 8: launched without slip", rojas_launch.launches, 11),
     "rojas-slip": Experiment("Section 9: wheels that slip", rojas.slip_table, 1),
     "rojas-dead": Experiment("Section 11: without one motor", rojas.dead_motors, 4),
     "kane-fig7": Experiment("Figure 7: along a diagonal while spinning", kane.figure_7, 2),

@@ -3,14 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from gateway.chassis.omni import OmniRobot
 from gateway.config import RobotConfig, parse
 from gateway.types import Pose
 from replay.drive.closed_loop import ClosedLoop
 from replay.reproduce.result import Stage
 from replay.reproduce.robot import ORIGIN
 from replay.reproduce.service import Driven, Order, drive_in
-from replay.sim.plants import plant_of
 from replay.sim.plants.contract import PlantName
+from replay.sim.plants.omni_dynamics import Stribeck, plant
 
 
 class FileWheel(NamedTuple):
@@ -70,10 +71,18 @@ def drive_omni(
     wanted: Callable[[float, Pose], Order],
     seconds: float,
     disturb: Callable[[ClosedLoop, float], None] = lambda loop, t: None,
+    *,
+    stribeck: Stribeck | None = None,
 ) -> Driven:
-    """Driven through the service, on the full dynamics; `disturb`: what else happens before a cycle at this time, s."""
+    """Driven through the service, on the full dynamics; `disturb`: what else happens before a cycle at this time, s.
+
+    `stribeck`: how friction falls with slip; None: it does not.
+    """
     config, text = robot_file(file)
-    loop = ClosedLoop(config, plant=plant_of(config.robot, PlantName.DYNAMICS))
+    assert isinstance(config.robot, OmniRobot)  # that is its kind
+    own = plant(config.robot)
+    own.stribeck = stribeck
+    loop = ClosedLoop(config, plant=own)
     return drive_in(loop, text, PlantName.DYNAMICS, wanted, stage, seconds=seconds, disturb=lambda t: disturb(loop, t))
 
 

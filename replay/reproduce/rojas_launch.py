@@ -7,6 +7,7 @@ gives so much. Through the service: its own launch, on the same robot and floor.
 
 from collections.abc import Callable, Sequence
 from math import exp, inf
+from pathlib import Path
 from typing import NamedTuple
 
 from gateway.chassis.omni import OmniRobot
@@ -34,6 +35,7 @@ from replay.sim.controllers.contract import STEP_S
 from replay.sim.controllers.dc_motor import DcMotor
 from replay.sim.plants import plant_of
 from replay.sim.plants.contract import PlantName
+from replay.sim.plants.omni_dynamics import Stribeck
 
 _START = 2.0  # V; printed
 _TIME_CONSTANT = 0.05  # s; ours, as are motor and supply: figure 10 is of "a certain DC motor"
@@ -42,11 +44,13 @@ _STAND_IN = DcMotor(resistance=2.83, constant=5.35e-3)  # Faulhaber 1331T006SR, 
 _INTERVALS = (0.02, 0.004, 0.001)  # s between two voltages
 _FINE = 5e-4  # s between two points of a curve
 _FLOOR = 0.3  # coefficient of friction
+_FALLING = Stribeck(0.6, 0.1)  # of that at rest, left of it at much more than 0.1 m/s of slip, where it falls
 _HEIGHT = 0.1  # m of the centre of mass, where loads are to shift
 _TOP = 0.9  # m/s
 _SLOW = 0.05  # m/s: of slower motion slip is no share
 _EVERY = 0.004  # s between two voltages of the robot
 _SECONDS = 0.9
+_FALLING_SECONDS = 2.5  # of a plain ramp where friction falls
 DIRECTIONS = {"forward": 90.0, "at 60 deg": 60.0, "diagonally": 45.0, "sideways": 0.0}
 
 
@@ -74,6 +78,11 @@ class Launched(NamedTuple):
             for part in (0.2, 0.8)
         )
         return 0.6 * _TOP / (high - low) if high < inf else 0.0
+
+    @property
+    def seconds(self) -> float:
+        """S to nine tenths of the speed; inf if it does not come to that."""
+        return next((t for t, v in zip(self.times, self.speeds, strict=True) if v >= 0.9 * _TOP), inf)
 
     @property
     def slip(self) -> float:
@@ -225,6 +234,8 @@ def launches(stage: Stage) -> Found:
         Row("slip forward, 24 V at once", "of the speed", at_once.slip, None, "", at_least(0.5)),
         Row("slip forward, plain ramp, service", "of the speed", plain.slip, None, "9 m/s^2 asked for", at_least(0.5)),
     ]
+    stage.tell("diagonally: friction that falls with slip")
+    rows += _falling(stage, sessions)
     panels = [
         Panel(
             f"Speed {words}",
@@ -254,7 +265,7 @@ def launches(stage: Stage) -> Found:
         "The paper's steps hold on even loads alone. Where acceleration shifts load, the wheels in front slip at "
         "the V0 of a robot that stands; the service shares torque by load and keeps a margin of 3 %.",
         "24 V at once is no slower here, as the friction of this floor does not fall with slip; but its wheels tell "
-        "nothing of the way.",
+        "nothing of the way. Where it falls, to 60 % (Stribeck; numbers ours), wheels that slip are slower too.",
     )
     return Found(
         tuple(rows),
@@ -262,6 +273,22 @@ def launches(stage: Stage) -> Found:
         notes,
         sessions,
     )
+
+
+def _falling(stage: Stage, sessions: dict[str, Path]) -> list[Row]:
+    """Seconds to nine tenths of the speed with the launch and without, where friction falls with slip."""
+    found: list[Launched] = []
+    for how, friction in (("launch", _FLOOR), ("plain ramp", None)):
+        drive = _driven(stage, 45.0, height=_HEIGHT, friction=friction, seconds=_FALLING_SECONDS, stribeck=_FALLING)
+        sessions[f"friction that falls, {how}"] = drive.session
+        found.append(_seen(drive, 45.0))
+    careful, plain = found
+    words = "friction falls with slip to 60 %"
+    return [
+        Row("time to 0.81 m/s diagonally, service", "s", careful.seconds, None, words, at_most(0.7)),
+        Row("slip of that", "of the speed", careful.slip, None, "", at_most(0.02)),
+        Row("time of a plain ramp, service", "of that", plain.seconds / careful.seconds, None, words, at_least(1.2)),
+    ]
 
 
 def _stepped(interval: float) -> Spinning:
@@ -358,7 +385,15 @@ def _launched(direction: float, height: float | None, volts: Callable[[Sequence[
     return found
 
 
-def _driven(stage: Stage, direction: float, *, height: float | None, friction: float | None) -> Driven:
+def _driven(
+    stage: Stage,
+    direction: float,
+    *,
+    height: float | None,
+    friction: float | None,
+    seconds: float = _SECONDS,
+    stribeck: Stribeck | None = None,
+) -> Driven:
     """Through the service, whose robot file tells it of this friction, over a floor that gives what it gives here."""
 
     def slippery(loop: ClosedLoop, t: float) -> None:
@@ -367,7 +402,7 @@ def _driven(stage: Stage, direction: float, *, height: float | None, friction: f
                 loop.bus.robot.set_friction(name, _FLOOR)
 
     file = direct_drive_file(centre_height=height, friction=friction)
-    return drive_omni(stage, file, lambda t, _: towards(direction, _TOP), _SECONDS, slippery)
+    return drive_omni(stage, file, lambda t, _: towards(direction, _TOP), seconds, slippery, stribeck=stribeck)
 
 
 def _seen(drive: Driven, direction: float) -> Launched:

@@ -2,7 +2,8 @@
 
 Each through the whole service, beside what floor and motors give at most, what they give to equal torques until the
 first wheel slips, and a plain ramp that asks for more than both. Exit 1 where a launch takes less than 95 % of the
-most, or slips by more than 2 % of its speed.
+most, or slips by more than 2 % of its speed. Below it the time to nine tenths of the speed where friction falls with
+slip, to 60 % of that at rest (Stribeck; on our dynamics): there wheels that slip are slower as well.
 """
 
 import argparse
@@ -13,10 +14,11 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.core.assembly import build, limiter
-from tests.launches import FRICTIONS, PLANTS, ROBOTS, Launch, best, equal_torques, robot
+from tests.launches import FALLING, FRICTIONS, PLANTS, ROBOTS, Launch, best, equal_torques, robot
 
 BUNDLED = ["omni4", "omni4_gm6020"]
 SECONDS = 1.1  # to reach the speed on the worse floor
+FALLING_SECONDS = 2.5  # the same where friction falls with slip
 LEAST, SLIP = 0.95, 0.02  # of the most; of the speed
 REPEATS = 60
 STRETCH = 5  # cycles
@@ -88,6 +90,43 @@ class Row(NamedTuple):
         )
 
 
+class Falling(NamedTuple):
+    """One launch beside a plain ramp where friction falls with slip."""
+
+    name: str
+    friction: float
+    eighth: int
+    careful: Launch
+    plain: Launch
+
+    @property
+    def gained(self) -> float:
+        """How many times as long the plain ramp takes; inf: it did not get there."""
+        return self.plain.seconds_to_speed / self.careful.seconds_to_speed
+
+    @property
+    def good(self) -> bool:
+        return self.gained > 1.0 and self.careful.slip < SLIP
+
+    def line(self) -> str:
+        careful, plain = self.careful, self.plain
+        return (
+            f"{self.name:13} {self.friction:4.1f} {45 * self.eighth:4} "
+            f"{careful.seconds_to_speed:7.3f} {careful.slip:6.1%} {1e3 * careful.odometry_error:6.1f} | "
+            f"{plain.seconds_to_speed:7.3f} {plain.slip:6.0%} {1e3 * plain.odometry_error:6.1f} "
+            f"{self.gained:6.2f}{'' if self.good else '  !'}"
+        )
+
+
+def falling(name: str, friction: float, eighth: int) -> Falling:
+    """Drives both."""
+    careful, plain = (
+        Launch(name, eighth, friction, told=told, seconds=FALLING_SECONDS, stop=False, stribeck=FALLING)
+        for told in (friction, None)
+    )
+    return Falling(name, friction, eighth, careful, plain)
+
+
 def main() -> int:
     """Prints the table, and the worst of it below."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -113,6 +152,22 @@ def main() -> int:
         f"{max(row.careful.slip for row in rows):.1%} of the speed (plain {min(row.plain.slip for row in rows):.0%} to "
         f"{max(row.plain.slip for row in rows):.0%}), {min(gained):.0%} to {max(gained):.0%} more than equal torques"
     )
+    return max(_falling(given.robot), 0 if all(row.good for row in rows) else 1)
+
+
+def _falling(names: list[str]) -> int:
+    """Prints how long it takes where friction falls with slip; 1 where a launch slips or gains nothing."""
+    print(f"\nfriction falls to {FALLING.kinetic:.0%} with slip, {FALLING.speed:g} m/s")
+    print("                   deg launch/s  slip odo/mm | plain/s   slip odo/mm  times")
+    rows: list[Falling] = []
+    for name in names:
+        for friction in FRICTIONS:
+            for eighth in range(8):
+                rows.append(falling(name, friction, eighth))
+                print(rows[-1].line(), flush=True)
+    gained = [row.gained for row in rows]
+    good = sum(row.good for row in rows)
+    print(f"{good} of {len(rows)} good; a plain ramp takes {min(gained):.2f} to {max(gained):.2f} times as long")
     return 0 if all(row.good for row in rows) else 1
 
 

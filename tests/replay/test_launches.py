@@ -11,7 +11,8 @@ import pytest
 from gateway.core.engine import Engine
 from gateway.types import ZERO_TWIST, Mode, Twist
 from replay.sim.controllers.odrive_tables import FIRMWARES, Command
-from tests.launches import FRICTIONS, Launch, best, equal_torques, robot
+from replay.sim.plants.omni_dynamics import Stribeck
+from tests.launches import FALLING, FRICTIONS, Launch, best, equal_torques, robot
 from tests.world import World
 
 SLIP = 0.02  # of the speed
@@ -60,6 +61,33 @@ def test_a_plain_ramp_slips(name: str) -> None:
     plain, careful = (Launch(name, 1, 0.3, told=told, seconds=1.2) for told in (None, 0.3))
     assert plain.slip > 0.5
     assert careful.slip < SLIP
+
+
+@pytest.mark.parametrize(
+    ("name", "friction", "eighth", "times"),
+    [("omni4", 0.8, 4, 1.3), ("omni4", 0.3, 1, 1.6), ("omni4_gm6020", 0.8, 1, 1.2), ("omni4_gm6020", 0.3, 3, 1.6)],
+)
+def test_where_friction_falls_with_slip_a_launch_is_the_faster_for_not_slipping(
+    name: str, friction: float, eighth: int, times: float
+) -> None:
+    def seconds(told: float | None, stribeck: Stribeck | None) -> float:
+        run = Launch(name, eighth, friction, told=told, seconds=1.3, stop=False, stribeck=stribeck)
+        assert told is None or run.slip < SLIP
+        return run.seconds_to_speed
+
+    launched = seconds(friction, FALLING)
+    assert launched == pytest.approx(seconds(friction, None), rel=0.01)  # the floor's best is that at rest
+    assert seconds(None, FALLING) > times * launched
+
+
+@pytest.mark.parametrize("eighth", range(0, 8, 3))
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_a_launch_that_slips_on_it_all_the_same_grips_again(friction: float, eighth: int) -> None:
+    """Told half as much again: wheels that slip have less than they had, and only backing off ends it."""
+    run = Launch("omni4", eighth, friction, told=1.5 * friction, seconds=1.2, stop=False, stribeck=FALLING)
+    assert run.codes.count("launch_slipped") == 1
+    assert run.seconds_to_speed < 0.9
+    assert max(run.slips[run.launched // 2 : run.launched]) < 0.01  # m/s
 
 
 @pytest.mark.parametrize("eighth", range(4))
