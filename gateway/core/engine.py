@@ -730,18 +730,19 @@ class Engine:
 
     def _released(self, commands: Sequence[JointCommand], may: Sequence[bool]) -> list[JointCommand]:
         """The commands without those of motors that may not be commanded; of an energised robot these are lost."""
-        if self._mode in HOLDING or (self._mode is _FAULT and self._energised):
+        driven = self._mode is _FAULT or (self._mode is _ESTOP and self._posture is not None)
+        if self._mode in HOLDING or (driven and self._energised):
             self._health.lose([index for index, ok in enumerate(may) if not ok])
         return [command if ok else COAST for command, ok in zip(commands, may)]
 
     def _may_be_commanded(self, health: Health) -> Sequence[bool]:
-        if self._mode is _ESTOP:
+        if self._mode is _ESTOP and self._posture is None:  # what stays upright in it drives its motors, and not all
             # A fault that is not latched goes once the motor is asked to coast; then it can brake again.
             return [
                 brakable and (feedback.fault is None or feedback.fault.latched)
                 for brakable, feedback in zip(health.brakable, self._motors.feedback, strict=True)
             ]
-        return health.obeying if self._mode in BRAKING else health.usable
+        return health.obeying if self._mode in BRAKING or self._mode is _ESTOP else health.usable
 
     def _hold_or_release(self, now_ns: int) -> None:
         """At rest the motors are released, unless stop category, slope or chassis ask for more; rolling is braked."""

@@ -334,6 +334,47 @@ def test_without_a_motor_it_is_no_robot_that_drives_on(motor: int) -> None:
     assert any(event.code == "fault_silent" for event in robot.events)
 
 
+@pytest.mark.parametrize("mode", [Mode.DRIVE, Mode.STOPPING, Mode.ESTOP])
+def test_a_motor_that_was_gone_is_not_driven_again_before_it_lies(mode: Mode) -> None:
+    """Also in an emergency stop, in which motors of other robots are braked whatever they tell."""
+    robot = Upright(attended=False, can=True).stand_up()
+    if mode is Mode.ESTOP:
+        robot.ask(RequestKind.ESTOP)
+    twist = ZERO_TWIST if mode is Mode.DRIVE else None
+    robot.run(1.0, twist)
+    assert robot.is_in(mode)
+    lost = robot.loop.bus.robot.devices[robot.loop.config.robot.motor_names()[0]]
+    lost.power_off()
+    robot.run(0.1, twist)
+    lost.power_on()
+    first = len(robot.records)
+    robot.run(3.0, twist, until=lambda robot: robot.is_in(Mode.IDLE))
+    assert len(robot.records) - first > 20
+    assert all(out.trace.wheel_setpoints[0] is None for _, out in robot.records[first:])
+
+
+@pytest.mark.parametrize("seconds", [0.01, 0.06, 1.0])
+@pytest.mark.parametrize("mode", [Mode.DRIVE, Mode.STOPPING, Mode.ESTOP])
+def test_after_its_bus_was_down_it_stands_or_lies_and_drives_for_nobody(mode: Mode, seconds: float) -> None:
+    robot = Upright(attended=False, can=True).stand_up()
+    if mode is Mode.ESTOP:
+        robot.ask(RequestKind.ESTOP)
+    robot.run(1.0, FORWARD if mode is Mode.DRIVE else None)
+    assert robot.is_in(mode)
+    bus, *others = robot.loop.config.bus
+    assert not others
+    robot.loop.bus.fail(bus.name)
+    robot.run(seconds, FORWARD)
+    robot.loop.bus.restore(bus.name)
+    robot.run(3.0, FORWARD)
+    assert robot.plant.fallen is (seconds > BLIND_NS * 1e-9)
+    where, first = robot.plant.pose.x, len(robot.records)
+    for twist in (ZERO_TWIST, FORWARD):
+        robot.run(1.0, twist)
+    assert abs(robot.plant.pose.x - where) < 0.05
+    assert not robot.plant.fallen or never_pushed(robot, first)
+
+
 def test_after_a_restart_it_is_down() -> None:
     robot = Upright(attended=False).stand_up()
     robot.loop.restart(robot.loop.next_ns + 500_000_000)
