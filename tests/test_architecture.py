@@ -62,6 +62,9 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants", "replay/sim/sensors"),
     },
+    "replay/inject": {
+        *("ground", "robot file", "gateway/control", "replay/sessions", "replay/drive", "replay/sim/plants"),
+    },
     "replay/reproduce": {
         *(
             "ground",
@@ -92,6 +95,7 @@ IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_RO
 RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
 PYDANTIC_FILES = {
     *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
+    "replay/inject/injection.py",
     "gateway/paths/path_file.py",
 }
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib

@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.config import parse
-from tests.random_drives import drive
+from replay.inject.random_drives import drive
 from tests.world import BUNDLED, NAMES, robot_text
 
 WILD, KIND = range(4), range(100, 103)  # numbers of the drives

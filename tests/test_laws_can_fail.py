@@ -23,8 +23,8 @@ from gateway.core.joint_trust import JointTrust
 from gateway.core.standstill import Standstill
 from gateway.types import ZERO_TWIST, Attitude, Mode, Rates, Region, Twist, TwistCommand
 from replay.drive.scenario_file import Scenario
-from tests.laws import ALL_LAWS
-from tests.random_drives import Driven, judge
+from replay.inject.laws import ALL_LAWS
+from replay.inject.random_drives import Driven, judge
 from tests.world import robot_text
 
 pytestmark = pytest.mark.pure_python

@@ -1,5 +1,7 @@
 """Commanders in virtual time: each source streams its twist, and a mailbox keeps the newest of each."""
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gateway.config import Source
@@ -27,7 +29,10 @@ class Stream:
 class Commanders:
     """All streams and the mailbox between them and the loop."""
 
-    def __init__(self) -> None:
+    def __init__(self, recorded: Sequence[TwistCommand] = ()) -> None:
+        """`recorded`: commands that are sent besides, each when it was received, until their source is silenced."""
+        self._recorded = deque(recorded)
+        self._silenced: set[str] = set()
         self._streams: dict[str, Stream] = {}
         self._sequences: dict[str, int] = {}
         self._newest: dict[str, TwistCommand] = {}
@@ -56,9 +61,14 @@ class Commanders:
         """This source sends nothing any more."""
         self.send(now_ns - 1)
         self._streams.pop(source, None)
+        self._silenced.add(source)
 
     def send(self, until_ns: int) -> None:
         """Everything that is sent by then; of each source the mailbox keeps the newest."""
+        while self._recorded and self._recorded[0].received_ns <= until_ns:
+            command = self._recorded.popleft()
+            if command.source not in self._silenced:
+                self._newest[command.source] = command
         for stream in self._streams.values():
             while stream.due_ns <= until_ns:
                 sequence = self._sequences[stream.source] = self._sequences.get(stream.source, -1) + 1

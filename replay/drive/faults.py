@@ -34,6 +34,7 @@ class FaultKind(Enum):
     BUS_UP = "bus_up"
     FRAMES_LOST = "frames_lost"
     FRAMES_DELAYED = "frames_delayed"
+    FRAMES_DOUBLED = "frames_doubled"
     PUSH = "push"
     SLOPE = "slope"
     IMPACT = "impact"
@@ -179,6 +180,14 @@ def _delay_none(broken: Broken) -> None:
     broken.world.delay(broken.name, 0.0)
 
 
+def _double(broken: Broken) -> None:
+    broken.world.double(broken.name, broken.value, seed=broken.seed)
+
+
+def _double_none(broken: Broken) -> None:
+    broken.world.double(broken.name, 0.0)
+
+
 def _push(broken: Broken) -> None:
     broken.world.robot.set_push(broken.value)
 
@@ -270,6 +279,7 @@ RULES: dict[FaultKind, Rule] = {
     FaultKind.BUS_UP: Rule(Target.BUS, _up),
     FaultKind.FRAMES_LOST: Rule(Target.BUS, _lose, _lose_none, _FRACTION),
     FaultKind.FRAMES_DELAYED: Rule(Target.BUS, _delay, _delay_none, Range(0.0, 10.0, "s, 0 to 10")),
+    FaultKind.FRAMES_DOUBLED: Rule(Target.BUS, _double, _double_none, _FRACTION),
     FaultKind.PUSH: Rule(
         Target.WORLD, _push, _push_none, Range(-1e5, 1e5, "N along world x, -100000 to 100000"), timed=True
     ),
@@ -323,7 +333,7 @@ def clear_surroundings(world: SimulatedBus, buses: Sequence[str]) -> None:
     """What `clear` undoes besides the motors: buses, sensors and ground."""
     world.robot.mend_sensors()
     for name in buses:
-        for change in (_up, _lose_none, _delay_none):
+        for change in (_up, _lose_none, _delay_none, _double_none):
             change(Broken(world, name))
     for change in (_push_none, _level, _unload, *((_let_go,) if world.robot.has_caster else ())):
         change(Broken(world, ""))

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 from gateway import robot_files
 from gateway.config import RobotConfig, load
 from gateway.core.snapshot import State
-from gateway.types import Event, Inputs, Mode, Outputs, Request, RequestKind, Twist
+from gateway.types import Event, Inputs, Mode, Outputs, Request, RequestKind, Twist, TwistCommand
 from replay.drive import faults
 from replay.drive.closed_loop import ClosedLoop
 from replay.drive.commanders import Asked, Commanders
@@ -38,6 +38,17 @@ class Recording(Protocol):
     def put(self, inputs: Inputs, outputs: Outputs, state: Callable[[], State]) -> None: ...
 
     def restart(self) -> None: ...
+
+
+class Given(NamedTuple):
+    """Commands and requests of a recorded drive, received so many ns after its first cycle."""
+
+    commands: tuple[TwistCommand, ...] = ()
+    requests: tuple[Request, ...] = ()
+
+    def commands_from(self, start_ns: int) -> list[TwistCommand]:
+        """The same in a drive that begins then."""
+        return [one._replace(received_ns=start_ns + one.received_ns) for one in self.commands]
 
 
 class Result(NamedTuple):
@@ -72,21 +83,29 @@ def run_scenario(
     *,
     watch: Watch | None = None,
     recording: Recording | None = None,
+    given: Given | None = None,
 ) -> Result:
     """Drive it; `config` stands in for the robot that the scenario names. `watch` sees every cycle, in order.
+
+    `given`: what was commanded and asked in a recorded drive, once more.
 
     Raises ConfigError when the scenario names what is not on this robot.
     """
     robot = load(robot_files.find(scenario.robot))[0] if config is None else config
     check_names(scenario, robot, "scenario")
-    return _Drive(scenario, robot, watch, recording).run()
+    return _Drive(scenario, robot, watch, recording, given or Given()).run()
 
 
 class _Drive:
     """State of one run."""
 
     def __init__(
-        self, scenario: Scenario, config: RobotConfig, watch: Watch | None, recording: Recording | None
+        self,
+        scenario: Scenario,
+        config: RobotConfig,
+        watch: Watch | None,
+        recording: Recording | None,
+        given: Given,
     ) -> None:
         self._config = config
         self._seed = scenario.seed
@@ -96,7 +115,7 @@ class _Drive:
             self._loop.bus.robot.set_swivel(scenario.start.swivel)
         self._start_ns = self._loop.next_ns
         self._end_ns = self._start_ns + round(scenario.seconds * _SECOND_NS)
-        self._commanders = Commanders()
+        self._commanders = Commanders(given.commands_from(self._start_ns))
         self._asked = Asked(config.commands.source)
         self._requests: list[Request] = []
         self._agenda: list[tuple[int, int, Callable[[int], None]]] = []
@@ -106,6 +125,8 @@ class _Drive:
         self._recording = recording
         self._summary = _Summary(config.robot.name)
         self._expectations = watchers(scenario)
+        for request in given.requests:
+            self._plan(self._start_ns + request.received_ns, partial(self._ask_again, request))
         for at in scenario.at:
             self._plan(self._start_ns + round(at.t * _SECOND_NS), self._action(at))
 
@@ -182,6 +203,10 @@ class _Drive:
         stated = (angle or 0.0) if reference else None
         self._asked_for += 1
         self._requests.append(Request(kind, self._asked_for, now_ns, angle=stated))
+
+    def _ask_again(self, request: Request, now_ns: int) -> None:
+        self._asked_for += 1
+        self._requests.append(request._replace(id=self._asked_for, received_ns=now_ns))
 
     def _set(self, values: Mapping[str, float], now_ns: int) -> None:
         for name, value in values.items():

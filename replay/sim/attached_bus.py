@@ -28,6 +28,8 @@ class Segment:
         self._dropped = 0  # not sent since the last take_events
         self._drop_received = self._drop_sent = 0.0
         self._random = Random(0)
+        self._double = 0.0
+        self._doubling = Random(0)
         self._up = True
         self._passive = False
         self._foreign: CanFrame | None = None
@@ -90,6 +92,10 @@ class Segment:
         """Lose these fractions of the frames, after their wire time."""
         self._drop_received, self._drop_sent, self._random = received, sent, random
 
+    def double(self, fraction: float, random: Random) -> None:
+        """Deliver this fraction of the frames twice, as after an acknowledgement that was lost."""
+        self._double, self._doubling = fraction, random
+
     def fail(self) -> None:
         """The host's interface goes down; the devices talk on, unheard."""
         if self._up:
@@ -140,13 +146,16 @@ class Segment:
         end_ns, frame, sender = arrival
         if sender is Sender.HOST:
             lost = self._drop_sent > 0.0 and self._random.random() < self._drop_sent
-            return () if lost else self._to_devices(frame, end_ns)
+            return () if lost else [one for _ in range(self._times()) for one in self._to_devices(frame, end_ns)]
         if self._up and not (self._drop_received > 0.0 and self._random.random() < self._drop_received):
             stamp_ns = end_ns + self.delay_ns
             if self._frames:
                 stamp_ns = max(stamp_ns, _stamp(self._frames[-1]))
-            self._frames.append(frame._replace(bus=self._name, received_ns=stamp_ns))
+            self._frames += [frame._replace(bus=self._name, received_ns=stamp_ns)] * self._times()
         return self._to_devices(frame, end_ns) if frame is self._foreign else ()
+
+    def _times(self) -> int:
+        return 2 if self._double > 0.0 and self._doubling.random() < self._double else 1
 
     def _to_devices(self, frame: CanFrame, end_ns: int) -> list[Emission]:
         return [reply for device in self._devices for reply in device.receive(frame, end_ns)]

@@ -62,6 +62,10 @@ class SimulatedBus:
         """Lose these fractions of the frames to and from the host; wire time passes all the same."""
         self._segments[bus].drop(received=received, sent=sent, random=Random(seed))
 
+    def double(self, bus: str, fraction: float, *, seed: int = 0) -> None:
+        """Deliver this fraction of the frames twice."""
+        self._segments[bus].double(fraction, Random(seed))
+
     def fail(self, bus: str) -> None:
         """Take the host's interface down: queue and pending frames are lost, sending fails."""
         self._segments[bus].fail()

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from gateway.build import COMPILED, FORM
+from replay.inject.laws import ALL_LAWS
 from tests.bench import cycle, launch, laws, live, plant, pull_law, recorder, sessions, slip, verify, yardstick
-from tests.laws import ALL_LAWS
 from tests.world import NAMES
 
 PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {

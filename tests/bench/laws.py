@@ -6,8 +6,8 @@ import time
 from collections import Counter
 
 from gateway.config import parse
-from tests.laws import ALL_LAWS
-from tests.random_drives import drive
+from replay.inject.laws import ALL_LAWS
+from replay.inject.random_drives import drive
 from tests.world import NAMES, robot_text
 
 CYCLES = 60_000  # of `measure`; the evidence is a run of this module with its default

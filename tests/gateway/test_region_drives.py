@@ -16,9 +16,9 @@ from replay.compare.verify import verify
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
+from replay.inject.laws import violations
 from replay.sessions.reader import open_session
 from tests.gateway.test_snapshot import goes_on_byte_for_byte
-from tests.laws import violations
 from tests.recordings import write_drive
 from tests.world import World, robot_text
 

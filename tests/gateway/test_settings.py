@@ -11,10 +11,10 @@ from gateway.core.engine import Engine
 from gateway.core.settings import SETTINGS, Settings
 from gateway.types import Mode, Outputs, Reply, Request, RequestKind, Twist
 from replay.drive.scenario_file import Scenario
+from replay.inject.random_drives import SECONDS, judge, scenario
 from tests.gateway.test_launch import gripping
 from tests.gateway.test_offset_law import PULLED, compensated
 from tests.gateway.test_snapshot import goes_on_byte_for_byte
-from tests.random_drives import SECONDS, judge, scenario
 from tests.world import NAMES, World, robot_text
 
 FAST = {"moby": Twist(0.8, 0.0, 0.0), "omni4": Twist(0.8, 0.0, 0.0)}

@@ -20,7 +20,7 @@ from gateway.types import Inputs, Outputs, RequestKind, Twist
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario, load_scenario
-from tests.random_drives import scenario
+from replay.inject.random_drives import scenario
 from tests.world import BUNDLED, NAMES, World, robot_text
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "deploy" / "scenarios").glob("*.toml"))

@@ -217,6 +217,13 @@ def frames_delayed() -> None:
 # -- the world --------------------------------------------------------------------------------------------------------
 
 
+def frames_doubled() -> None:
+    plain = heard(drive("omni4"), AT, AT + 0.4)
+    moments = drive("omni4", {"kind": "frames_doubled", "value": 1.0, "seconds": 0.4})
+    assert heard(moments, AT, AT + 0.4) == pytest.approx(2 * plain, abs=10)
+    assert heard(moments, AT + 0.41, AT + 0.81) == pytest.approx(plain, abs=5)
+
+
 def push() -> None:
     moments = drive("omni4", {"kind": "push", "value": 100.0, "seconds": 0.2}, before=IDLE)
     assert at(moments, AT).speed == 0.0
@@ -358,6 +365,7 @@ EFFECTS: dict[FaultKind, Callable[[], None]] = {
         bus_up,
         frames_lost,
         frames_delayed,
+        frames_doubled,
         push,
         impact,
         slope,

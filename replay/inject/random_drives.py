@@ -20,7 +20,7 @@ from replay.drive.faults import RULES, FaultKind, Target
 from replay.drive.moment import Moment
 from replay.drive.scenario import run_scenario
 from replay.drive.scenario_file import Scenario
-from tests import laws
+from replay.inject import laws
 
 SECONDS = 16.0
 SILENCE_S = 6.0  # at the end of a kind drive
@@ -33,6 +33,7 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
     FaultKind.ID_TWIN: lambda chance: chance.uniform(-3.0, 3.0),
     FaultKind.FRAMES_LOST: lambda chance: chance.uniform(0.05, 1.0),
     FaultKind.FRAMES_DELAYED: lambda chance: 10 ** chance.uniform(-2.5, -0.5),
+    FaultKind.FRAMES_DOUBLED: lambda chance: chance.uniform(0.05, 1.0),
     FaultKind.SENSOR_JUMP: lambda chance: chance.choice([-1.0, 1.0]) * 10 ** chance.uniform(-2.5, 0.0),
     FaultKind.PUSH: lambda chance: chance.uniform(-300.0, 300.0),
     FaultKind.SLOPE: lambda chance: chance.uniform(-0.12, 0.12),
@@ -87,6 +88,17 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
     return Scenario.model_validate(
         {"robot": config.robot.name, "seconds": SECONDS, "seed": seed, "at": sorted(entries, key=lambda at: at["t"])}
     )
+
+
+def happenings(chance: Random, config: RobotConfig, seconds: float) -> list[Entry]:
+    """What goes wrong in a drive of so many seconds that somebody commands already."""
+    trouble = chance.choice([0.7, 2.0, 4.0])
+    entries: list[Entry] = []
+    t = 10 ** chance.uniform(-1.5, 0.5)
+    while t < seconds:
+        entries += _something(chance, config, t, trouble=trouble, can_brake=False)
+        t += 10 ** chance.uniform(-1.5, 0.5)
+    return sorted([entry for entry in entries if entry["t"] < seconds], key=lambda at: at["t"])
 
 
 def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float, can_brake: bool) -> list[Entry]:
