@@ -13,7 +13,7 @@ from gateway.config import load
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants.contract import WithAttitude, WithSlides
 from replay.sim.plants.odd import OddPlant
-from replay.sim.plants.odd_bodies import Leaning, OddBodies, OddParameters, inverse, parameters
+from replay.sim.plants.odd_bodies import WIDTH, Leaning, OddBodies, OddParameters, inverse, parameters
 from replay.sim.plants.odd_dynamics import FALLEN, GRAVITY, OddDynamics
 from replay.sim.plants.odd_equations import TwoBodies
 
@@ -452,3 +452,11 @@ def test_a_wheel_creeps_in_proportion_to_speed_and_push() -> None:
     creep = 0.05 * 0.1 * 2.0
     assert one.twist.vx / 0.0762 == pytest.approx(one.rates[0] * (1.0 + creep), rel=1e-3)
     assert one.slipping == ()
+
+
+def test_what_is_held_by_an_end_is_not_stopped_there_again() -> None:
+    """Of a wheel that is pressed against its stop on slippery ground rounding leaves some 1e-14 m/s outward."""
+    one = plant()
+    one._u[WIDTH] = 1e-14
+    one._stop(WIDTH, one._middle((WIDTH,)))
+    assert one._u == [0.0] * len(one._u)

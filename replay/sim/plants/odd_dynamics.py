@@ -385,8 +385,9 @@ class OddDynamics:
 
     def _stop(self, place: int, middle: _Middle) -> None:
         reach = middle.yielding[place]
-        much = self._u[place] / reach[place]
-        self._u = [one - much * two for one, two in zip(self._u, reach, strict=True)]
+        if reach[place] > 0.0:  # what is held by its end moves by rounding only
+            much = self._u[place] / reach[place]
+            self._u = [one - much * two for one, two in zip(self._u, reach, strict=True)]
         self._u[place] = 0.0
 
     # wheels on slippery ground
