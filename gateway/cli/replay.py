@@ -12,6 +12,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from gateway.cli import replay_io
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
@@ -36,6 +37,10 @@ replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True, ric
 @replay.callback()
 def _group() -> None:
     """Re-run recorded sessions."""
+
+
+for _name, _command in replay_io.COMMANDS.items():
+    replay.command(_name)(_command)
 
 
 @replay.command()

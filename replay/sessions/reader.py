@@ -34,7 +34,7 @@ from gateway.recording.schema import (
     Header,
 )
 from replay.sessions import cycles, version_1
-from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window, made
+from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Sketch, Window, made, sketched
 from replay.sessions.framing import Found, checksum, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
@@ -194,6 +194,22 @@ class Session:
                     found = [cycle for cycle in found if cycle[0].cycle > last]
                 yield from found
                 last = found[-1][0].cycle if found else last
+
+    def sketches(self) -> Iterator[Sketch]:
+        """A survey of every recorded cycle, in order; of cycles that are there twice the first segment's."""
+        last = -1
+        for path in self.segments:
+            for sketch in self._sketches(path):
+                if sketch.cycle.size and sketch.cycle[0] > last:
+                    last = int(sketch.cycle[-1])
+                    yield sketch
+
+    def _sketches(self, path: Path) -> Iterator[Sketch]:
+        rows = self._load(path)
+        try:
+            yield from rows.sketches() if isinstance(rows, cycles.CycleRows) else map(sketched, rows.windows())
+        except _DAMAGED as error:
+            self._parts[path].problems.append(f"it is damaged: {error!r}")
 
     def snapshot(self, cycle: int) -> dict[str, Any] | None:
         """The state of the core after this cycle, if it was recorded there and that segment has been read."""
