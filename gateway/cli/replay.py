@@ -39,8 +39,7 @@ def _group() -> None:
     """Re-run recorded sessions."""
 
 
-for _name, _command in replay_io.COMMANDS.items():
-    replay.command(_name)(_command)
+replay_io.register(replay)
 
 
 @replay.command()

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.table import Table
@@ -10,6 +10,9 @@ from rich.table import Table
 from gateway.cli.output import complain, console, print_json
 from gateway.config import ConfigError
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, verify
+from replay.logs.export import Format, format_of
+from replay.logs.export import export as write_log
+from replay.logs.logged import LogError
 from replay.sessions.reader import SessionError, open_session
 from replay.sessions.summary import Stay, Summary, summary
 
@@ -35,10 +38,7 @@ def info(
         found = summary(open_session(session))
         verdict = verify(open_session(session)) if run else None
     except (SessionError, ConfigError, OSError) as error:
-        if json:
-            print_json({"problem": str(error)})
-        complain(str(error))
-        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+        _refuse(error, json=json)
     if json:
         print_json(found.as_json() | ({} if verdict is None else {"verdict": verdict.as_json()}))
     else:
@@ -97,4 +97,45 @@ def _first(lines: Sequence[str]) -> list[str]:
     return [*lines[:SHOWN], *more]
 
 
-COMMANDS = {"info": info}
+def export(
+    session: SessionPath,
+    file: Annotated[Path, typer.Argument(help="What to write; its suffix says as what.")],
+    kind: Annotated[Format | None, typer.Option("--format", help="Instead of what the suffix says.")] = None,
+    json: Json = False,
+) -> None:
+    """Write the frames of a session as a log for other tools, or its channels as a table.
+
+    By suffix: .log as `candump -L -x` writes it (times to the us), .asc and .blf (ns since a date in UTC; a bus is a
+    number, in the order of the robot file), .mcap with can_msgs/msg/Frame for ROS 2 (ns; a topic for each bus and
+    direction), .parquet with a row per cycle (ns; the columns of `drivegate replay trace`). A received frame has the
+    time at which it came, a sent one that of its cycle. Exit 0; 2: nothing was written; 3: all there is was written,
+    of a recording that is incomplete.
+    """
+    try:
+        found = open_session(session)
+        written = write_log(found, file, kind or format_of(file))
+        problem = found.problem
+    except (SessionError, ConfigError, LogError, OSError) as error:
+        _refuse(error, json=json)
+    if json:
+        print_json(written._asdict() | {"complete": problem is None})
+    else:
+        what = f"{written.rows} cycles" if kind is Format.PARQUET or written.rows else f"{written.frames} frames"
+        channels = ", ".join(f"{bus} is channel {channel}" for bus, channel in written.channels.items())
+        console.print(f"{file}: {what} as {written.format}{f'; {channels}' if channels else ''}", highlight=False)
+    if problem is not None:
+        complain(f"{session}: incomplete: {problem}")
+        raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _refuse(error: Exception, *, json: bool) -> NoReturn:
+    if json:
+        print_json({"problem": str(error)})
+    complain(str(error))
+    raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+
+
+def register(group: typer.Typer) -> None:
+    """The commands of this module, in a group."""
+    group.command()(info)
+    group.command()(export)
