@@ -58,7 +58,10 @@ ROOMS: dict[str, set[str]] = {
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
-    "replay/logs": {"drivers", "ground", "robot file", "replay/sessions", "replay/compare"},
+    "replay/logs": {
+        *("drivers", "ground", "robot file", "gateway/core"),
+        *("replay/sessions", "replay/compare", "replay/drive"),
+    },
     "replay/drive": {
         *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants", "replay/sim/sensors"),

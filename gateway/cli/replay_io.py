@@ -2,19 +2,24 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.table import Table
 
+from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
-from gateway.config import ConfigError
+from gateway.config import ConfigError, load
+from gateway.recording.recorder import RecorderError
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, verify
 from replay.logs.export import Format, format_of
 from replay.logs.export import export as write_log
 from replay.logs.logged import LogError
 from replay.sessions.reader import SessionError, open_session
-from replay.sessions.summary import Stay, Summary, summary
+from replay.sessions.summary import Stay, Summary, summary, utc
+
+if TYPE_CHECKING:
+    from replay.logs.intake import Imported
 
 SHOWN = 20  # lines of one list
 
@@ -85,7 +90,8 @@ def _lists(found: Summary) -> list[tuple[str, list[str]]]:
         for fault in found.faults
     ]
     gaps = [f"cycles {gap.first_cycle} to {gap.last_cycle}: {gap.reason}" for gap in found.gaps]
-    return [("modes", list(map(_stay, found.modes))), ("faults", faults), ("gaps", gaps)]
+    modes = "modes" if found.imported is None else "modes of a core that only listened"
+    return [(modes, list(map(_stay, found.modes))), ("faults", faults), ("gaps", gaps)]
 
 
 def _stay(stay: Stay) -> str:
@@ -128,6 +134,80 @@ def export(
         raise typer.Exit(EXIT_INCOMPLETE)
 
 
+def import_(  # noqa: PLR0917  # a command line: each parameter is an option with a name
+    file: Annotated[Path, typer.Argument(help="Log of CAN frames.")],
+    robot: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    maps: Annotated[
+        list[str] | None, typer.Option("--map", help="CHANNEL=BUS: of the log, of the robot. Again for each channel.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Directory for the session.")] = Path("sessions"),
+    interval: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e3, help="s from frame to frame, where the log tells no times.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Make a session of a log of CAN frames, by the drivers of a robot.
+
+    Read are candump in each of its styles, ASC, BLF, TRC, SavvyCAN's CSV, and MCAP with can_msgs/msg/Frame, also
+    gzipped; which of them it is tells the file and not its name. Without --map it is told which channels there are.
+    Cycles are those of the robot file. A frame that a driver takes as the word of a controller was received, as one
+    that nobody knows; one that is a command was sent. What led to the commands no log tells: `replay can`, `trace`,
+    `info`, `export` and `play` work on such a session, and `verify` and `run` say that they cannot.
+    Exit 0; 2: nothing was imported; 3: imported, but something in the log became no frame, and it is said what.
+    """
+    from replay.logs.intake import import_log  # noqa: PLC0415  # with Rerun, which no other command here needs
+
+    try:
+        config, text = load(path := robot_files.find(robot))
+        found = import_log(
+            file,
+            config,
+            text,
+            str(path),
+            directory=out,
+            buses=_buses(maps or []),
+            interval_ns=None if interval is None else round(interval * 1e9),
+        )
+    except (ConfigError, LogError, RecorderError, OSError) as error:
+        _refuse(error, json=json)
+    account = found.account
+    if json:
+        left_out = {what: one._asdict() for what, one in account.left_out.items()}
+        told = found._asdict() | {"session": str(found.session), "format": account.style, "clock": account.clock.value}
+        del told["account"]
+        print_json(told | {"lines": account.lines, "left_out": left_out})
+    else:
+        _show_imported(found)
+    raise typer.Exit(EXIT_INCOMPLETE if account.left_out else 0)
+
+
+def _buses(maps: Sequence[str]) -> dict[str, str]:
+    """Raises LogError."""
+    found: dict[str, str] = {}
+    for text in maps:
+        channel, equals, bus = text.rpartition("=")
+        if not equals or not channel or not bus:
+            raise LogError(f"--map {text}: expected CHANNEL=BUS")
+        found[channel] = bus
+    return found
+
+
+def _show_imported(found: "Imported") -> None:
+    account = found.account
+    table = Table("what", "value", title=str(found.session))
+    table.add_row("format", account.style)
+    table.add_row("times", account.clock.value)
+    table.add_row("began", "not told" if found.began_ns is None else utc(found.began_ns))
+    table.add_row("frames", f"{found.received} received, {found.sent} sent, in {found.cycles} cycles")
+    if found.pauses:
+        table.add_row("pauses of more than 10 s", str(found.pauses))
+    if found.backwards:
+        table.add_row("times that go backwards", f"{found.backwards}, kept")
+    for what, one in account.left_out.items():
+        table.add_row(f"left out: {what}", f"{one.times}, first at {one.place}{f': {one.text}' if one.text else ''}")
+    console.print(table, highlight=False, markup=False)
+
+
 def _refuse(error: Exception, *, json: bool) -> NoReturn:
     if json:
         print_json({"problem": str(error)})
@@ -139,3 +219,4 @@ def register(group: typer.Typer) -> None:
     """The commands of this module, in a group."""
     group.command()(info)
     group.command()(export)
+    group.command("import")(import_)

@@ -4,7 +4,7 @@ import gzip
 import io
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TextIO
 
@@ -72,10 +72,7 @@ def _unpacked(raw: BinaryIO) -> BinaryIO:
 
 def _frames(path: Path, file: BinaryIO, stack: ExitStack, account: Account) -> _Frames:
     """Raises LogError, OSError."""
-    try:
-        begin = file.read(LOOKED_AT)
-    except (EOFError, zlib.error) as error:
-        raise LogError(f"{path}: does not unpack: {error}") from None
+    begin = _begin(file)
     file.seek(0)
     if begin.startswith(blf.MAGIC):
         return blf.frames(file, account)
@@ -87,6 +84,15 @@ def _frames(path: Path, file: BinaryIO, stack: ExitStack, account: Account) -> _
         if begin.startswith(mark):
             raise LogError(f"{path}: {words}")
     return _text_frames(path, begin, stack.enter_context(io.TextIOWrapper(file, encoding="latin-1")), account)
+
+
+def _begin(file: BinaryIO) -> bytes:
+    """As much of the beginning as there is and unpacks."""
+    begin = b""
+    with suppress(EOFError, zlib.error, gzip.BadGzipFile):
+        while len(begin) < LOOKED_AT and (piece := file.read1(LOOKED_AT)):  # type: ignore[attr-defined]
+            begin += piece
+    return begin
 
 
 def _text_frames(path: Path, begin: bytes, text: TextIO, account: Account) -> _Frames:

@@ -121,9 +121,12 @@ def seconds(time_ns: int, digits: int = 9) -> str:
 
 
 def wall_ns(*fields: int) -> int:
-    """ns since 1970 of year, month, day, hour, minute, second in UTC. Raises ValueError."""
+    """ns since 1970 of year, month, day, hour, minute, second in UTC. Raises ValueError, also before 1970."""
     year, month, day, hour, minute, second = fields
-    return (datetime(year, month, day, hour, minute, second, tzinfo=UTC) - EPOCH) // timedelta(seconds=1) * SECOND_NS
+    since = datetime(year, month, day, hour, minute, second, tzinfo=UTC) - EPOCH
+    if since < timedelta(0):
+        raise ValueError("a date before 1970")
+    return since // timedelta(seconds=1) * SECOND_NS
 
 
 def date(time_ns: int) -> datetime:
