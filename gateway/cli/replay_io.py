@@ -1,6 +1,7 @@
-"""`drivegate replay info`, `export`, `import`: what a session is, and the way to other tools and back."""
+"""`drivegate replay info`, `export`, `import`, `cut`, `merge`, `diff`: sessions as files."""
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -11,6 +12,7 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.config import ConfigError, load
 from gateway.recording.recorder import RecorderError
+from replay.compare.difference import Difference, difference
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, verify
 from replay.logs.export import Format, format_of
 from replay.logs.export import export as write_log
@@ -19,6 +21,7 @@ from replay.sessions.reader import SessionError, open_session
 from replay.sessions.summary import Stay, Summary, summary, utc
 
 if TYPE_CHECKING:
+    from replay.drive.pieces import Piece
     from replay.logs.intake import Imported
 
 SHOWN = 20  # lines of one list
@@ -67,6 +70,8 @@ def _show(found: Summary) -> None:
     table.add_row("robot", f"{found.robot} ({found.config_origin}{moved})")
     if found.imported is not None:
         table.add_row("imported from", found.imported)
+    if found.cut_from is not None:
+        table.add_row("a piece of", found.cut_from)
     table.add_row("began", found.began or "nothing was recorded")
     if found.first_cycle is not None:
         table.add_row(
@@ -208,6 +213,99 @@ def _show_imported(found: "Imported") -> None:
     console.print(table, highlight=False, markup=False)
 
 
+def cut(
+    session: SessionPath,
+    begin: Annotated[float, typer.Option("--from", help="s since the first recorded cycle.")] = 0.0,
+    end: Annotated[float, typer.Option("--to", help="s since the first recorded cycle.")] = inf,
+    out: Annotated[Path, typer.Option(help="Directory for the piece.")] = Path("pieces"),
+    json: Json = False,
+) -> None:
+    """Make a session of a piece of one, which verifies on its own.
+
+    It begins with the snapshot of the core at or in front of --from, of which there is one every five seconds, or with
+    cycle 0. Nothing may be missing in it. Exit 0; 2: nothing was written.
+    """
+    from replay.drive import pieces  # noqa: PLC0415  # with Rerun
+
+    try:
+        piece = pieces.cut(open_session(session), out, begin=begin, end=end)
+    except (SessionError, ConfigError, OSError) as error:
+        _refuse(error, json=json)
+    _tell_piece(piece, json=json)
+
+
+def merge(
+    sessions: Annotated[list[Path], typer.Argument(help="Pieces of one session: folders, or .rrd files.")],
+    out: Annotated[Path, typer.Option(help="Directory for the session.")] = Path("pieces"),
+    json: Json = False,
+) -> None:
+    """Put pieces of one session together again, in the order of their cycles; they may overlap, but nothing be missing.
+
+    Exit 0; 2: nothing was written.
+    """
+    from replay.drive import pieces  # noqa: PLC0415  # with Rerun
+
+    try:
+        piece = pieces.merge([open_session(session) for session in sessions], out)
+    except (SessionError, ConfigError, OSError) as error:
+        _refuse(error, json=json)
+    _tell_piece(piece, json=json)
+
+
+def _tell_piece(piece: "Piece", *, json: bool) -> None:
+    if json:
+        print_json(piece._asdict() | {"session": str(piece.session)})
+    else:
+        which = f"cycles {piece.first_cycle} to {piece.last_cycle}, {piece.begin:.3f} s to {piece.end:.3f} s"
+        console.print(f"{piece.session}: {which}", highlight=False)
+
+
+def diff(
+    first: Annotated[Path, typer.Argument(help="Session of a drive.")],
+    second: Annotated[Path, typer.Argument(help="Session of another drive of the same course.")],
+    json: Json = False,
+) -> None:
+    """Hold two drives of one course against each other: paths, wheel speeds, modes, and what of the robot was another.
+
+    Both are counted from their first command, and what is alike is what `replay run` calls so. Aside is how far the
+    second was from the line of the first, whenever it was there. Exit 0: alike; 1: different; 2: they cannot be
+    compared; 3: alike as far as the recordings go, of which one is incomplete.
+    """
+    try:
+        sessions = open_session(first), open_session(second)
+        found = difference(*sessions)
+        complete = all(session.complete for session in sessions)
+    except (SessionError, ConfigError, ValueError, OSError) as error:
+        _refuse(error, json=json)
+    if json:
+        print_json(found.as_json() | {"complete": complete})
+    else:
+        _show_difference(found)
+    if found.likeness.reasons:
+        raise typer.Exit(1)
+    raise typer.Exit(0 if complete else EXIT_INCOMPLETE)
+
+
+def _show_difference(found: Difference) -> None:
+    like = found.likeness
+    table = Table("what", "difference", title=f"{found.seconds:.2f} s, {like.path_m:.2f} m")
+    table.add_row("at the end", f"{like.end_m:.3f} m, {like.end_rad:.3f} rad")
+    table.add_row("at the same time", f"at most {like.largest_m:.3f} m, at {found.largest_t:.2f} s")
+    table.add_row("aside", f"at most {found.aside_m:.3f} m, rms {found.aside_rms_m:.3f} m")
+    for wheel in found.wheels:
+        told = "never both measured"
+        if wheel.rms is not None:
+            told = f"rms {wheel.rms:.3f} rad/s, at most {wheel.largest:.3f} rad/s at {wheel.largest_t:.2f} s"
+        table.add_row(f"speed of {wheel.motor}", told)
+    table.add_row("modes", f"{' '.join(like.modes_recorded)}\n{' '.join(like.modes_redriven)}")
+    table.add_row("another one", "\n".join(found.others) or "nothing")
+    console.print(table, highlight=False, markup=False)
+    for reason in like.reasons:
+        console.print(f"[red]different[/] {reason}", highlight=False)
+    if not like.reasons:
+        console.print("[green]alike[/]")
+
+
 def _refuse(error: Exception, *, json: bool) -> NoReturn:
     if json:
         print_json({"problem": str(error)})
@@ -220,3 +318,6 @@ def register(group: typer.Typer) -> None:
     group.command()(info)
     group.command()(export)
     group.command("import")(import_)
+    group.command()(cut)
+    group.command()(merge)
+    group.command()(diff)

@@ -148,7 +148,7 @@ def import_log(  # a command line
         if first is None or intake.first_ns is None:
             raise LogError(f"{path}: no frame of {', '.join(buses)} in it ({account.style or 'nothing is read'})")
         told = account.clock in {Clock.EPOCH, Clock.WALL} and interval_ns is None
-        settings = config.recording.model_copy(update={"disk_budget": UNLIMITED})
+        settings = config.recording.model_copy(update={"disk_budget": UNLIMITED, "min_free": 0})
         recording = SessionRecording(
             config.model_copy(update={"recording": settings}),
             text,

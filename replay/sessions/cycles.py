@@ -30,7 +30,7 @@ from gateway.recording.schema import (
     Kind,
     Table,
 )
-from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
+from gateway.types import CycleTiming, Event, Inputs, Mode, Odometry, Outputs, Reply
 from replay.sessions.tables import Layout, Tables
 
 WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
@@ -143,6 +143,13 @@ class CycleRows:
         """All of the cycles, a block or a part of one at a time. Raises as a window does."""
         for run in self._runs:
             yield _sketch(run)
+
+    def timings(self) -> Iterator[tuple[int, CycleTiming]]:
+        """How the loop kept time, by the number of the cycle."""
+        for block, start, end, _ in self._runs:
+            columns = (block.cycles.column(name, Kind.INT, start, end) for name in COUNTERS[4:])
+            numbers = block.cycles.column(COUNTERS[0], Kind.INT, start, end)
+            yield from zip(numbers, map(CycleTiming, *columns), strict=True)
 
 
 def made(window: Window) -> list[Cycle]:

@@ -46,6 +46,7 @@ class Summary(NamedTuple):
     robot: str
     plant: str | None  # by what a simulated robot moved
     imported: str | None  # of which log these are the frames
+    cut_from: str | None  # the session of which this is a piece
     began: str | None  # UTC, ISO 8601; None: nothing was recorded
     seconds: float
     cycles: int
@@ -114,6 +115,7 @@ def summary(session: Session) -> Summary:
         robot=header.robot,
         plant=header.plant,
         imported=header.imported,
+        cut_from=header.cut_from,
         began=None if first is None else utc(first_ns + header.wall_minus_mono_ns),
         seconds=_seconds(last[1] - first_ns) if first else 0.0,
         cycles=cycles,
