@@ -30,6 +30,7 @@ _FD_64 = Struct(
 )  # channel, length code, bytes of data, ., id, ., flags, ..., sent, place of the rest
 
 _KIND_CLASSIC, _KIND_CONTAINER, _KIND_CLASSIC_2, _KIND_FD, _KIND_FD_64 = 1, 10, 86, 100, 101
+_KIND_BUFFER_END = 115  # of the writer of the file
 _NO_FRAMES = {  # what else such a log may hold of a bus
     2: "error frame",
     3: "overload frame",
@@ -40,7 +41,6 @@ _NO_FRAMES = {  # what else such a log may hold of a bus
     65: "application trigger",
     92: "event comment",
     96: "marker",
-    115: "end of a write buffer",
 }
 _PLAIN, _ZLIB = 0, 2
 _TEN_MICROSECONDS = 1  # of the flags of an object; otherwise its time is in ns
@@ -144,6 +144,9 @@ class _Objects:
             if place + length > len(stream):
                 break
             self._account.lines += 1
+            if kind == _KIND_BUFFER_END:
+                place += length
+                continue
             try:
                 yield self._frame(stream[place : place + length], header, version, kind)
             except (UnreadError, struct.error) as error:

@@ -116,12 +116,19 @@ class _Intake:
 
 
 def channels_of(path: Path) -> dict[str, int]:
-    """The channels of a log and how many frames each has. Raises LogError."""
+    """The channels of a log and how many frames each has. Raises LogError, also if there are none."""
     found: dict[str, int] = {}
-    with opened(path) as (frames, _):
+    with opened(path) as (frames, account):
         for logged in frames:
             found[logged.frame.bus] = found.get(logged.frame.bus, 0) + 1
+    if not found:
+        raise LogError(f"{path}: no frame in it: {_in_words(account)}")
     return found
+
+
+def _in_words(account: Account) -> str:
+    left_out = [f"{what} ({one.times}, first at {one.place})" for what, one in account.left_out.items()]
+    return f"{account.style}; {', '.join(left_out) or 'nothing else either'}"
 
 
 def import_log(  # a command line
@@ -146,7 +153,7 @@ def import_log(  # a command line
         if account.clock is Clock.NONE and interval_ns is None:
             raise LogError(f"{path}: {account.style} tells no times: say with --interval how far apart its frames are")
         if first is None or intake.first_ns is None:
-            raise LogError(f"{path}: no frame of {', '.join(buses)} in it ({account.style or 'nothing is read'})")
+            raise LogError(f"{path}: no frame of {', '.join(buses)} in it: {_in_words(account)}")
         told = account.clock in {Clock.EPOCH, Clock.WALL} and interval_ns is None
         settings = config.recording.model_copy(update={"disk_budget": UNLIMITED, "min_free": 0})
         recording = SessionRecording(
@@ -173,7 +180,7 @@ def _check(path: Path, config: RobotConfig, buses: Mapping[str, str]) -> None:
         if bus not in known:
             raise LogError(f"--map {channel}={bus}: this robot has no bus {bus}, but {', '.join(known)}")
     if not buses:
-        found = ", ".join(f"{name} ({number} frames)" for name, number in channels_of(path).items()) or "none"
+        found = ", ".join(f"{name} ({number} frames)" for name, number in channels_of(path).items())
         raise LogError(f"{path}: say with --map CHANNEL=BUS which is which: it has {found}; buses: {', '.join(known)}")
 
 

@@ -190,7 +190,12 @@ def test_a_log_without_times_needs_an_interval(tmp_path: Path) -> None:
         (LOG, {}, r"--map CHANNEL=BUS which is which: it has can0 \(3 frames\), vcan1 \(1 frames\); buses: can0"),
         (LOG, {"can0": "can7"}, "no bus can7, but can0"),
         (LOG, {"can5": "can0"}, "no frame of can5"),
-        ("(1.0) can0 20000004#\n", {"can0": "can0"}, "no frame of can0"),
+        (
+            "(1.0) can0 20000004#\n",
+            {"can0": "can0"},
+            r"no frame of can0 in it: candump -L; error frame \(1, first at line 1",
+        ),
+        ("(1.0) can0 20000004#\n", {}, r"no frame in it: candump -L; error frame \(1, first at line 1"),
         ("nonsense\n", {"can0": "can0"}, "expected candump"),
     ],
 )
