@@ -136,6 +136,15 @@ def test_commands_of_a_log_are_played_as_commands(session: Session, tmp_path: Pa
         ]
 
 
+def test_frames_of_a_cycle_are_played_in_the_order_in_which_they_were_seen(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    ids = ["7FF", "02D", "7FE", "04D", "7FD"]
+    path.write_text("".join(f"(1672531200.001{place}) can0 {one}#0000000000000000\n" for place, one in enumerate(ids)))
+    found = open_session(imported(path, "moby", tmp_path / "s", {"can0": "can0"}).session)
+    assert [f"{due.frame.id:03X}" for due in recorded(found, "can0", None)] == ids
+    assert [f"{due.frame.id:03X}" for due in recorded(found, "can0", Direction.TX)] == ids[1::2]
+
+
 LOG = """(1672531200.000000) can0 029#DB0F494000000000
 (1672531200.010000) vcan1 021#0000000001000000
 (1672531200.010000) can0 20000004#0000000000000000

@@ -4,6 +4,7 @@ import gzip
 import random
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from struct import pack
 from typing import NamedTuple
 
 import can
@@ -428,6 +429,66 @@ def test_objects_across_containers(tmp_path: Path) -> None:
     found = read(path)
     assert [one.frame.id for one in found.frames] == list(range(300))
     assert not found.account.left_out
+
+
+def blf_file(*objects: bytes, counted: int | None = None) -> bytes:
+    """A log of these objects in one container each, not compressed; begun on 2023-01-01 00:00:00.5."""
+    containers = [
+        pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(found), 10, 0, len(found)) + found + bytes(len(found) % 4)
+        for found in objects
+    ]
+    began = (2023, 1, 0, 1, 0, 0, 0, 500)
+    count = len(objects) if counted is None else counted
+    head = pack("<4sL8BQQLL8H8H", b"LOGG", 144, *([0] * 8), 0, 0, count, 0, *began, *began)
+    return head.ljust(144, b"\0") + b"".join(containers)
+
+
+def blf_object(kind: int, body: bytes, *, time: int, ten_us: bool = False, version: int = 1) -> bytes:
+    times = pack("<LHHQ", 1 if ten_us else 2, 0, 0, time) if version == 1 else pack("<LBxHQ8x", 2, 0, 0, time)
+    length = 16 + len(times) + len(body)
+    return pack("<4sHHLL", b"LOBJ", 16 + len(times), version, length, kind) + times + body
+
+
+BLF_OBJECTS = {
+    "in steps of 10 us": blf_object(1, pack("<HBBL8s", 3, 0, 2, 0x123, b"\1\2"), time=7, ten_us=True),
+    "a header of version 2": blf_object(1, pack("<HBBL8s", 3, 1, 2, 0x123, b"\1\2"), time=70_000, version=2),
+    "of CAN_MESSAGE2": blf_object(86, pack("<HBBL8sLBBH", 3, 1, 2, 0x123, b"\1\2", 0, 0, 0, 0), time=70_000),
+    "of CAN_FD_MESSAGE_64": blf_object(
+        101,
+        pack("<BBBBLLLLLLLHBBL", 3, 9, 12, 0, 0x9ABCDEF0, 0, 0x3000, 0, 0, 0, 0, 0, 1, 0, 0) + bytes(range(12)),
+        time=70_000,
+    ),
+    "of a classic frame in CAN_FD_MESSAGE_64": blf_object(
+        101, pack("<BBBBLLLLLLLHBBL", 3, 3, 3, 0, 0x12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0) + b"\1\2\3", time=70_000
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BLF_OBJECTS)
+def test_objects_of_blf_as_python_can_reads_them(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(blf_file(BLF_OBJECTS[name]))
+    (message,) = can.BLFReader(path)
+    found = read(path)
+    assert not found.account.left_out
+    (one,) = found.frames
+    assert one.frame._replace(bus="1") == of_python_can([message])[0]._replace(bus="1")
+    assert (one.frame.bus, one.sent) == (str(int(str(message.channel)) + 1), not message.is_rx)
+    assert one.time_ns == WALL_NS + 500_070_000
+    assert message.timestamp == pytest.approx(one.time_ns / SECOND_NS, abs=1e-6)
+
+
+def test_objects_that_are_missing_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(blf_file(BLF_OBJECTS["of CAN_MESSAGE2"], counted=5))
+    assert list(read(path).left_out) == ["objects that are missing: 5 by its head, 1 are there"]
+
+
+def test_what_of_blf_is_no_frame_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    kinds = (73, 2, 96, 115, 999)
+    path.write_bytes(blf_file(*[blf_object(kind, bytes(64), time=1) for kind in kinds]))
+    assert read(path).left_out == {"error frame": 2, "marker": 1, "object of kind 999": 1}
 
 
 # damage

@@ -8,13 +8,15 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from gateway.cli.app import build
+from gateway.core.engine import Engine
 from gateway.recording.disk import segment_path
-from gateway.types import Twist
+from gateway.recording.packets import Record, Snapshot
+from gateway.types import CycleTiming, Twist
 from replay.compare.verify import verify
 from replay.drive.pieces import cut, merge
 from replay.sessions.reader import Session, SessionError, open_session
 from replay.sessions.summary import summary
-from tests.recordings import write_drive
+from tests.recordings import STARTED_NS, world_writer, write_drive
 from tests.world import World
 
 BATCH = 60
@@ -31,7 +33,23 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     while len(world.records) < CYCLES:
         world.run(0.1, Twist(0.3, 0.1, 0.2))
     del world.records[CYCLES:]
-    return write_drive(tmp_path_factory.mktemp("s"), world, batch=BATCH, snapshots=True, segment_bytes=60_000)
+    return written(tmp_path_factory.mktemp("s"), world)
+
+
+def written(directory: Path, world: World) -> Path:
+    """With a snapshot in front of every batch but the first; the loop kept another time in each cycle."""
+    session = world_writer(directory, world, segment_bytes=60_000)
+    engine = Engine(world.config)
+    snapshot = None
+    for start in range(0, len(world.records), BATCH):
+        some = world.records[start : start + BATCH]
+        timings = [CycleTiming(x.cycle * 7, x.cycle * 5, STARTED_NS + x.now_ns) for x, _ in some]
+        session.write([Record(x, y, timing) for (x, y), timing in zip(some, timings, strict=True)], (), snapshot)
+        for inputs, _ in some:
+            engine.step(inputs)
+        snapshot = Snapshot.of(some[-1][0].cycle, engine.snapshot())
+    session.close()
+    return session.folder
 
 
 def cycles(session: Session) -> list[object]:
@@ -125,6 +143,19 @@ def test_what_is_no_piece(recorded: Path, tmp_path: Path) -> None:
     stranger = open_session(write_drive(other, world, started_ns=1_780_000_000_000_000_000))
     with pytest.raises(SessionError, match="not pieces of one session"):
         merge([whole, stranger], tmp_path)
+
+
+def test_what_was_recorded_is_in_a_piece_and_not_what_would_be_said_now(tmp_path: Path) -> None:
+    world = World("moby", rate_hz=RATE_HZ)
+    world.start()
+    world.run(1.0, Twist(0.3, 0.1, 0.2))
+    inputs, outputs = world.records[70]
+    world.records[70] = (inputs, outputs._replace(frames=outputs.frames[:-1]))
+    piece = cut(open_session(written(tmp_path / "whole", world)), tmp_path, begin=0.65)
+    found = verify(open_session(piece.session))
+    assert found.exit_code == 1
+    assert found.first_difference is not None
+    assert found.first_difference.cycle == 70
 
 
 def test_a_piece_ends_at_a_gap(recorded: Path, tmp_path: Path) -> None:
