@@ -8,6 +8,7 @@ between its ends is missing, and verifies on its own. Inputs, outputs, times and
 the pictures are drawn again, by the same core, so that cycles to which no snapshot leads cannot be in a piece.
 """
 
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
@@ -126,8 +127,13 @@ def _write(sessions: Sequence[Session], span: _Span, directory: Path) -> Path:
     )
     hello = Hello("", header.config_text, header.config_origin, None, started_ns, header.wall_minus_mono_ns)
     writer = SessionWriter(config.model_copy(update={"recording": limits}), hello, told=told)
-    for batch, snapshot in _batches(sessions, span, config):
-        writer.write(batch, (), snapshot)
+    try:
+        for batch, snapshot in _batches(sessions, span, config):
+            writer.write(batch, (), snapshot)
+    except BaseException:
+        writer.close(ended=False)
+        shutil.rmtree(writer.folder)
+        raise
     writer.close()
     report = writer.report()
     if report.lost:

@@ -116,6 +116,9 @@ class _Objects:
         try:
             for begin in range(_CONTAINER.size, len(body), 4096):  # in pieces: what is in front of the damage is whole
                 found += unpacker.decompress(body[begin : begin + 4096], _LARGEST)
+                if len(found) > _LARGEST:
+                    self._account.leave_out("a container with more in it than is read", f"byte {place}")
+                    return found
         except zlib.error:
             self._account.leave_out("a container that does not unpack", f"byte {place}")
             return found

@@ -67,7 +67,17 @@ def logged(session: Session) -> Iterator[Logged]:
 
 
 def export(session: Session, path: Path, to: Format) -> Exported:
-    """Write all of it. Raises LogError, ConfigError, OSError."""
+    """Write all of it, or leave the file as it was. Raises LogError, ConfigError, OSError."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        written = _written(session, part, to)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return written
+
+
+def _written(session: Session, path: Path, to: Format) -> Exported:
     if to is Format.PARQUET:
         return Exported(to.value, 0, _parquet(session, path), {}, {})
     buses = [bus.name for bus in parse(session.config_text, "robot file of the session").bus]

@@ -9,6 +9,7 @@ command, and stands where a session has the frames that were sent, with the time
 inputs; nobody knows those of then. A log that says nothing for longer than `PAUSE_NS` makes no cycles meanwhile.
 """
 
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -164,7 +165,13 @@ def import_log(  # a command line
             started_wall_ns=max(intake.first_ns, 0) if told else 0,
             imported=f"{path.name} ({account.style}, times {account.clock.value})",
         )
-        cycles, pauses = _record(recording, config, first, seen)
+        try:
+            cycles, pauses = _record(recording, config, first, seen)
+        except BaseException:
+            recording.close()
+            shutil.rmtree(recording.session)  # it would say that it is complete
+            raise
+        recording.close()
         for channel, number in intake.unmapped.items():
             account.leave_out(f"frames of channel {channel}, which --map does not tell of: {number}", "all of it")
     began_ns = intake.first_ns if told else None
@@ -190,20 +197,17 @@ def _record(recording: SessionRecording, config: RobotConfig, first: _Seen, rest
     period_ns = round(1e9 / config.loop.rate)
     number, now_ns, pauses = 0, FIRST_NS, 0
     waiting: _Seen | None = first
-    try:
-        while waiting is not None:
-            if waiting.time_ns - now_ns > PAUSE_NS:
-                pauses += 1
-                now_ns += (waiting.time_ns - now_ns) // period_ns * period_ns
-            received: list[CanFrame] = []
-            sent: list[CanFrame] = []
-            while waiting is not None and waiting.time_ns <= now_ns:
-                (sent if waiting.sent else received).append(waiting.frame)
-                waiting = next(rest, None)
-            inputs = Inputs(number, now_ns, tuple(received))
-            outputs = engine.step(inputs)._replace(frames=tuple(sent))
-            recording.put(inputs, outputs, engine.snapshot)
-            number, now_ns = number + 1, now_ns + period_ns
-    finally:
-        recording.close()
+    while waiting is not None:
+        if waiting.time_ns - now_ns > PAUSE_NS:
+            pauses += 1
+            now_ns += (waiting.time_ns - now_ns) // period_ns * period_ns
+        received: list[CanFrame] = []
+        sent: list[CanFrame] = []
+        while waiting is not None and waiting.time_ns <= now_ns:
+            (sent if waiting.sent else received).append(waiting.frame)
+            waiting = next(rest, None)
+        inputs = Inputs(number, now_ns, tuple(received))
+        outputs = engine.step(inputs)._replace(frames=tuple(sent))
+        recording.put(inputs, outputs, engine.snapshot)
+        number, now_ns = number + 1, now_ns + period_ns
     return number, pauses

@@ -16,6 +16,7 @@ from gateway.recording.disk import segment_path
 from gateway.recording.packets import Record
 from gateway.types import CycleTiming, Twist
 from replay.compare.retrace import columns, rows
+from replay.logs import blf
 from replay.logs.export import Format, export, format_of, logged
 from replay.logs.formats import opened
 from replay.logs.logged import Clock, LogError, Logged
@@ -170,6 +171,18 @@ def test_what_is_left_of_a_session_is_exported_and_said(session: Session, tmp_pa
     result = asked(left, tmp_path / "drive.log")
     assert result.exit_code == 3
     assert len(list(can.CanutilsLogReader(tmp_path / "drive.log"))) == len(list(logged(open_session(left)))) > 0
+
+
+def test_a_file_is_whole_or_as_it_was(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    path = tmp_path / "drive.blf"
+    path.write_bytes(b"before")
+    monkeypatch.setattr(blf.Writer, "close", full)
+    assert asked(session.path, path).exit_code == 2
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_suffix_says_what_to_write() -> None:

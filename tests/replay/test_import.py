@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 
 from gateway.cli.app import build
 from gateway.config import parse
+from gateway.core.engine import Engine
 from gateway.types import Twist
 from replay.compare.retrace import frames as frames_in_words
 from replay.compare.retrace import rows
@@ -182,6 +183,22 @@ def test_times_that_go_backwards_are_kept(tmp_path: Path) -> None:
         100_000_000,
         200_000_000,
     ]
+
+
+@pytest.mark.pure_python
+def test_a_log_that_cannot_be_read_to_its_end_leaves_no_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text(LOG)
+    monkeypatch.setattr(Engine, "step", broken)
+    with pytest.raises(LogError, match="Input/output error"):
+        imported(path, "moby", tmp_path / "s", {"can0": "can0"})
+    assert not list((tmp_path / "s").glob("*/*.rrd"))
+
+
+def broken(*_: object) -> None:
+    raise OSError(5, "Input/output error")
 
 
 def test_a_log_without_times_needs_an_interval(tmp_path: Path) -> None:

@@ -158,6 +158,20 @@ def test_what_was_recorded_is_in_a_piece_and_not_what_would_be_said_now(tmp_path
     assert found.first_difference.cycle == 70
 
 
+@pytest.mark.pure_python
+def test_a_piece_that_cannot_be_made_is_not_there(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(*_: object) -> None:
+        raise ValueError("broken")
+
+    whole = open_session(recorded)
+    monkeypatch.setattr(Engine, "step", breaks)
+    with pytest.raises(SessionError, match="this version of the software breaks on it"):
+        cut(whole, tmp_path)
+    assert not list(tmp_path.glob("*/*.rrd"))
+
+
 def test_a_piece_ends_at_a_gap(recorded: Path, tmp_path: Path) -> None:
     gappy = Path(shutil.copytree(recorded, tmp_path / recorded.name))
     segment_path(gappy, 2).unlink()
