@@ -12,7 +12,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gateway.cli import replay_inject
+from gateway.cli import replay_inject, replay_io
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
@@ -40,6 +40,7 @@ def _group() -> None:
 
 
 replay_inject.register(replay)
+replay_io.register(replay)
 
 
 @replay.command()

@@ -32,6 +32,7 @@ def header(hello: Hello, *, session: str, robot: str) -> Header:
         wall_minus_mono_ns=hello.wall_minus_mono_ns,
         sealed=True,
         plant=hello.plant,
+        imported=hello.imported,
     )
 
 

@@ -12,7 +12,7 @@ class Hello(NamedTuple):
     """First packet to a recorder process. `folder`: the session to go on with; None starts a new one.
 
     `config_json` is what the service runs with, which a command line may have changed; `config_text` is the file.
-    `plant`: by what a simulated robot moves; None: nothing is simulated.
+    `plant`: by what a simulated robot moves; None: nothing is simulated. `imported`: as of the header.
     """
 
     config_json: str
@@ -22,6 +22,7 @@ class Hello(NamedTuple):
     started_wall_ns: int
     wall_minus_mono_ns: int
     plant: str | None = None
+    imported: str | None = None
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, tag="cycle"):

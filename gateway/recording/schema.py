@@ -111,6 +111,9 @@ class Header(msgspec.Struct, frozen=True):
     sealed: bool = False  # each segment ends with a seal; recordings from before there were any do not
     first_segment: int = 1  # those before it were deleted to make room
     plant: str | None = None  # by what a simulated robot moved; None: not simulated, or not told
+    first_cycle: int = 0  # of a piece of a session; what was in front of it is elsewhere
+    cut_from: str | None = None  # the session of which it is a piece
+    imported: str | None = None  # of which log these are the frames; None: a drive of drivegate's own
 
 
 HEADER_PATH = "/header"

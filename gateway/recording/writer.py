@@ -39,6 +39,7 @@ from gateway.recording.disk import (
 )
 from gateway.recording.header import header
 from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Gap, Hello, Record, RecorderReport, Snapshot
+from gateway.recording.schema import Header
 from gateway.recording.segment import Segment
 from gateway.recording.views import Views
 
@@ -49,9 +50,19 @@ _BAD_VALUE = (OverflowError, TypeError, ValueError)
 
 
 class SessionWriter:
-    """Makes or goes on with a session folder. Raises OSError when the folder cannot be made."""
+    """Makes or goes on with a session folder. Raises OSError when the folder cannot be made.
 
-    def __init__(self, config: RobotConfig, hello: Hello, *, free: Callable[[Path], int] = free_bytes) -> None:
+    `told`: what a header says of the software, in the place of what this process would say of itself.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        hello: Hello,
+        *,
+        free: Callable[[Path], int] = free_bytes,
+        told: Header | None = None,
+    ) -> None:
         rr.set_strict_mode(True)  # a mistake in a column is an error, not a warning and a hole
         directory = Path(config.recording.directory)
         name = config.robot.name
@@ -62,6 +73,8 @@ class SessionWriter:
         self._segment_bytes = min(self._limits.segment_bytes, self._limits.disk_budget // 2)
         self._free = free
         self._header = header(hello, session=self.folder.name, robot=name)
+        if told is not None:
+            self._header = msgspec.structs.replace(told, session=self.folder.name, segment=1, first_segment=1)
         self._views = Views(config)
         self._blueprint = blueprint(channels_of(config), eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
         self._syncer = Syncer()

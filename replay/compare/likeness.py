@@ -14,8 +14,8 @@ from math import cos, dist, pi, sin, sqrt
 from typing import NamedTuple
 
 from gateway.config import RobotConfig, parse
-from gateway.core.engine import Engine
 from gateway.types import Mode, Pose
+from replay.compare.replay import Replay
 from replay.sessions.reader import Session
 
 GRID_NS = 20_000_000
@@ -54,13 +54,20 @@ class Comparison(NamedTuple):
 
 
 def moments(session: Session) -> list[Moment]:
-    """Every cycle of a session from its first command on, as the core says it was, up to the first that is missing."""
-    engine = Engine(parse(session.config_text, "robot file of the session"))
-    origin_ns = None
+    """Every cycle of a session from its first command on, as the core says it was, up to the first that is missing.
+
+    A session whose beginning is elsewhere begins behind its first snapshot of the core.
+    """
+    replay = Replay(parse(session.config_text, "robot file of the session"), session.snapshot)
+    origin_ns = following = None
     found: list[Moment] = []
-    for cycle, (inputs, _) in enumerate(session.cycles()):
-        if inputs.cycle != cycle:
+    for inputs, _ in session.cycles():
+        engine = replay.engine(inputs)
+        if engine is None and following is None:
+            continue
+        if engine is None or inputs.cycle != (following or inputs.cycle):
             break
+        following = inputs.cycle + 1
         if origin_ns is None and inputs.commands:
             origin_ns = inputs.commands[0].received_ns
         outputs = engine.step(inputs)
@@ -72,10 +79,10 @@ def moments(session: Session) -> list[Moment]:
 
 def compare(first: Sequence[Moment], second: Sequence[Moment], config: RobotConfig, session: str) -> Comparison:
     """Both drives over the time that both cover, each counted from where it began. Raises ValueError: no such time."""
-    pairs = list(_pairs(first, second))
-    if not pairs:
+    both = list(pairs(first, second))
+    if not both:
         raise ValueError("one of the drives holds no commands")
-    here = [(_since(one.pose, first[0].pose), _since(other.pose, second[0].pose)) for one, other in pairs]
+    here = [(since(one.pose, first[0].pose), since(other.pose, second[0].pose)) for one, other in both]
     path = sum(dist(a[0][:2], b[0][:2]) for a, b in pairwise(here))
     end, other_end = here[-1]
     tops = [config.limits.motor_speed[motor.name] for motor in config.motors_in_order()]
@@ -84,7 +91,7 @@ def compare(first: Sequence[Moment], second: Sequence[Moment], config: RobotConf
         end_m=round(dist(end[:2], other_end[:2]), 4),
         end_rad=round(abs(_turn(end.theta - other_end.theta)), 4),
         largest_m=round(max(dist(a[:2], b[:2]) for a, b in here), 4),
-        wheels_rms=round(max(_rms(pairs, index) / top for index, top in enumerate(tops)), 4),
+        wheels_rms=round(max(_rms(both, index) / top for index, top in enumerate(tops)), 4),
         modes_recorded=_modes(moment.mode for moment in first),
         modes_redriven=_modes(moment.mode for moment in second),
         reasons=(),
@@ -93,7 +100,7 @@ def compare(first: Sequence[Moment], second: Sequence[Moment], config: RobotConf
     return found._replace(reasons=tuple(_reasons(found)))
 
 
-def _pairs(first: Sequence[Moment], second: Sequence[Moment]) -> Iterator[tuple[Moment, Moment]]:
+def pairs(first: Sequence[Moment], second: Sequence[Moment]) -> Iterator[tuple[Moment, Moment]]:
     """Both drives at the same times."""
     if not first or not second:
         return
@@ -102,7 +109,7 @@ def _pairs(first: Sequence[Moment], second: Sequence[Moment]) -> Iterator[tuple[
         yield first[bisect_right(times[0], time_ns) - 1], second[bisect_right(times[1], time_ns) - 1]
 
 
-def _since(pose: Pose, origin: Pose) -> Pose:
+def since(pose: Pose, origin: Pose) -> Pose:
     """Where it is, seen from where the drive began."""
     c, s = cos(origin.theta), sin(origin.theta)
     x, y = pose.x - origin.x, pose.y - origin.y
@@ -114,10 +121,10 @@ def _turn(angle: float) -> float:
     return (angle + pi) % (2.0 * pi) - pi
 
 
-def _rms(pairs: Sequence[tuple[Moment, Moment]], index: int) -> float:
+def _rms(both: Sequence[tuple[Moment, Moment]], index: int) -> float:
     differences = [
         (one.wheels[index] or 0.0) - (other.wheels[index] or 0.0)
-        for one, other in pairs
+        for one, other in both
         if one.wheels[index] is not None and other.wheels[index] is not None
     ]
     return sqrt(sum(difference**2 for difference in differences) / max(len(differences), 1))

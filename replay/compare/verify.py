@@ -34,6 +34,7 @@ from replay.sessions.reader import RecordedOutputs, Session
 from replay.sessions.software import change
 
 PROGRESS_CYCLES = 1000
+NOTHING_TO_COMPARE = "a log of frames tells no commands, so nobody knows what the core would have had to say"
 EXIT_IDENTICAL, EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE = range(4)
 
 
@@ -99,6 +100,8 @@ def verify(session: Session, progress: Callable[[int], None] | None = None, *, p
     The verdict is the same with a pool (`replay.compare.side_by_side`) and without, but for the time that it took.
     Raises ConfigError if this version of the software refuses the recorded robot file.
     """
+    if session.header.imported is not None:
+        return not_replayable(f"imported from {session.header.imported}: {NOTHING_TO_COMPARE}")
     config = parse(session.config_text, "robot file of the session")
     told = _Progress(progress)
     started_ns = time.perf_counter_ns()

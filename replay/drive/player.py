@@ -65,11 +65,22 @@ def recorded(session: Session, bus: str, only: Direction | None) -> list[Due]:
     for inputs, outputs in session.cycles():
         received = inputs.frames if only is not Direction.TX else ()
         commanded = outputs.frames if only is not Direction.RX else ()
-        for frame in (*received, *commanded):
+        for time_ns, frame in _dues(inputs.now_ns, received, commanded):
             if frame.bus == bus:
-                last_ns = max(last_ns, inputs.now_ns if frame.received_ns is None else frame.received_ns)
+                last_ns = max(last_ns, time_ns)
                 frames.append(Due(last_ns, frame))
     return frames
+
+
+def _dues(now_ns: int, received: Sequence[CanFrame], commanded: Sequence[CanFrame]) -> list[Due]:
+    """The frames of a cycle; commands of an imported log have the times at which they were seen, and their order."""
+    found = [
+        Due(now_ns if frame.received_ns is None else frame.received_ns, frame) for frame in (*received, *commanded)
+    ]
+    for place, (time_ns, frame) in enumerate(found[len(received) :], start=len(received)):
+        found[place] = Due(time_ns, frame._replace(received_ns=None))
+    seen = any(frame.received_ns is not None for frame in commanded)
+    return sorted(found, key=lambda due: due.time_ns) if seen else found
 
 
 def is_alive(bus: can.BusABC) -> bool:

@@ -19,7 +19,7 @@ class SessionRecording:
     """A session in a directory, and another one after each restart of the process. `session`: the last one.
 
     `started_wall_ns`: the wall time of the first cycle; later ones follow in virtual time. `plant`: by what the
-    robot moves; None: by none that has a name.
+    robot moves; None: by none that has a name. `imported`: of which log these are the frames; None: of none.
     """
 
     def __init__(
@@ -31,12 +31,14 @@ class SessionRecording:
         directory: Path,
         started_wall_ns: int,
         plant: PlantName | None = None,
+        imported: str | None = None,
     ) -> None:
         settings = config.recording.model_copy(update={"directory": str(directory)})
         self._config = config.model_copy(update={"recording": settings})
         self._text = text
         self._origin = origin
         self._plant = plant
+        self._imported = imported
         self._wall_minus_mono_ns = started_wall_ns - FIRST_NS
         self._now_ns = FIRST_NS
         self._waiting: list[Record] = []
@@ -83,6 +85,7 @@ class SessionRecording:
             started_wall_ns=self._now_ns + self._wall_minus_mono_ns,
             wall_minus_mono_ns=self._wall_minus_mono_ns,
             plant=None if self._plant is None else self._plant.value,
+            imported=self._imported,
         )
         return SessionWriter(self._config, hello)
 

@@ -17,8 +17,20 @@ import numpy.typing as npt
 from drivers.contract import CanFrame
 from gateway.recording.block import DAMAGED, Block, unpacked
 from gateway.recording.packets import Gap
-from gateway.recording.schema import BLOCK_COLUMNS, BLOCK_PATH, COUNTERS, CYCLE, INPUTS, OUTPUTS, Kind, Table
-from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
+from gateway.recording.schema import (
+    BLOCK_COLUMNS,
+    BLOCK_PATH,
+    COUNTERS,
+    CYCLE,
+    EVENTS,
+    FRAMES_IN,
+    FRAMES_OUT,
+    INPUTS,
+    OUTPUTS,
+    Kind,
+    Table,
+)
+from gateway.types import CycleTiming, Event, Inputs, Mode, Odometry, Outputs, Reply
 from replay.sessions.tables import Layout, Tables
 
 WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
@@ -62,6 +74,17 @@ class Window(NamedTuple):
 
     first_cycle: int
     values: Callable[[], Iterable[Cycle]]
+
+
+class Sketch(NamedTuple):
+    """Of some cycles in ascending order what needs no value of every row: for a survey of a session."""
+
+    cycle: Integers
+    now_ns: Integers
+    modes: list[str]
+    events: list[tuple[int, Event]]  # each with the time of its cycle
+    frames_received: int
+    frames_sent: int
 
 
 class _Run(NamedTuple):
@@ -116,6 +139,18 @@ class CycleRows:
             for start in range(run.start, run.end, WINDOW):
                 yield _window(run.block, start, min(start + WINDOW, run.end))
 
+    def sketches(self) -> Iterator[Sketch]:
+        """All of the cycles, a block or a part of one at a time. Raises as a window does."""
+        for run in self._runs:
+            yield _sketch(run)
+
+    def timings(self) -> Iterator[tuple[int, CycleTiming]]:
+        """How the loop kept time, by the number of the cycle."""
+        for block, start, end, _ in self._runs:
+            columns = (block.cycles.column(name, Kind.INT, start, end) for name in COUNTERS[4:])
+            numbers = block.cycles.column(COUNTERS[0], Kind.INT, start, end)
+            yield from zip(numbers, map(CycleTiming, *columns), strict=True)
+
 
 def made(window: Window) -> list[Cycle]:
     """The values of a window. Raises as they do."""
@@ -155,6 +190,28 @@ def _runs(block: Block) -> Iterator[_Run]:
     for start, end in pairwise([0, *borders, len(block.whole)]):
         if start < end:
             yield _Run(block, start, end, bool(block.whole[start]))
+
+
+def sketched(window: Window) -> Sketch:
+    """The same of cycles that are in no block. Raises as the window does."""
+    found = made(window)
+    return Sketch(
+        np.array([inputs.cycle for inputs, _ in found], np.int64),
+        np.array([inputs.now_ns for inputs, _ in found], np.int64),
+        [outputs.mode.value for _, outputs in found],
+        [(inputs.now_ns, event) for inputs, outputs in found for event in outputs.events],
+        sum(len(inputs.frames) for inputs, _ in found),
+        sum(len(outputs.frames) for _, outputs in found),
+    )
+
+
+def _sketch(run: _Run) -> Sketch:
+    block, start, end, _ = run
+    received, sent = (int(block.tables[table.name].counts[start:end].sum()) for table in (FRAMES_IN, FRAMES_OUT))
+    now_ns = block.cycles.numbers("now_ns")[start:end]
+    events = _groups(block, EVENTS, start, end)
+    told = [(int(now_ns[place]), event) for place, some in enumerate(events) for event in some]
+    return Sketch(run.cycle, now_ns, block.cycles.column("mode", Kind.TEXT, start, end), told, received, sent)
 
 
 def _window(block: Block, start: int, end: int) -> Window:

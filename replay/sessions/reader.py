@@ -4,8 +4,8 @@ How this works
 --------------
 A session is read segment by segment, of each segment what is whole. Nothing that is missing or damaged ends the
 reading: it is said in `problems`, and cycles that are not there show up in `gaps`. A session is complete when all of
-it is provably there: from cycle 0 without a gap, every segment in its place, closed, and equal to its seal, the last
-one sealed as final. Recordings from before there were seals are taken at the word of their last footer.
+it is provably there: from its first cycle without a gap, every segment in its place, closed, and equal to its seal, the
+last one sealed as final. Recordings from before there were seals are taken at the word of their last footer.
 """
 
 import hashlib
@@ -33,8 +33,9 @@ from gateway.recording.schema import (
     SNAPSHOT_PATH,
     Header,
 )
+from gateway.types import CycleTiming
 from replay.sessions import cycles, version_1
-from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window, made
+from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Sketch, Window, made, sketched
 from replay.sessions.framing import Found, checksum, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
@@ -179,10 +180,11 @@ class Session:
         parts = self._all_parts().values()
         cycles = np.unique(np.concatenate([part.cycles for part in parts]))
         markers = [marker for part in parts for marker in part.markers]
-        if self.pruned and cycles.size and cycles[0] > 0:
-            markers.insert(0, Gap(0, int(cycles[0]) - 1, PRUNED))
+        first = self.header.first_cycle
+        if self.pruned and cycles.size and cycles[0] > first:
+            markers.insert(0, Gap(first, int(cycles[0]) - 1, PRUNED))
         seal = self._parts[self.segments[-1]].seal
-        return tuple(_gaps(cycles, markers, seal.last_cycle if seal is not None else None))
+        return tuple(_gaps(cycles, markers, first, seal.last_cycle if seal is not None else None))
 
     def cycles(self) -> Iterator[Cycle]:
         """Every recorded cycle in order, none twice."""
@@ -195,9 +197,38 @@ class Session:
                 yield from found
                 last = found[-1][0].cycle if found else last
 
+    def sketches(self) -> Iterator[Sketch]:
+        """A survey of every recorded cycle, in order; of cycles that are there twice the first segment's."""
+        last = -1
+        for path in self.segments:
+            for sketch in self._sketches(path):
+                if sketch.cycle.size and sketch.cycle[0] > last:
+                    last = int(sketch.cycle[-1])
+                    yield sketch
+
+    def _sketches(self, path: Path) -> Iterator[Sketch]:
+        rows = self._load(path)
+        try:
+            yield from rows.sketches() if isinstance(rows, cycles.CycleRows) else map(sketched, rows.windows())
+        except _DAMAGED as error:
+            self._parts[path].problems.append(f"it is damaged: {error!r}")
+
     def snapshot(self, cycle: int) -> dict[str, Any] | None:
         """The state of the core after this cycle, if it was recorded there and that segment has been read."""
         return _state(self._snapshots.get(cycle))
+
+    @property
+    def snapshots(self) -> Mapping[int, bytes]:
+        """All of them in the segments that have been read, packed, by the cycle after which they were taken."""
+        return self._snapshots
+
+    def timings(self) -> Iterator[tuple[int, CycleTiming]]:
+        """How the loop kept time in each cycle, by its number. Raises SessionError of a recording of schema 1."""
+        for path in self.segments:
+            rows = self._load(path)
+            if not isinstance(rows, cycles.CycleRows):
+                raise SessionError(f"{path}: has session schema 1, of which this is not read")
+            yield from rows.timings()
 
     @property
     def divisible(self) -> bool:
@@ -428,14 +459,14 @@ def _snapshots(columns: Columns | None) -> tuple[dict[int, bytes], bool]:
     return whole, len(whole) == len(rows)
 
 
-def _gaps(cycles: Integers, markers: Sequence[Gap], last_cycle: int | None) -> Iterator[Gap]:
-    """What is missing: cycles skipped from 0 on, marked ones behind all that are there, and those up to the last."""
-    places = np.flatnonzero(np.diff(cycles, prepend=-1) > 1).tolist()
+def _gaps(cycles: Integers, markers: Sequence[Gap], first: int, last_cycle: int | None) -> Iterator[Gap]:
+    """What is missing: cycles skipped from the first on, marked ones behind all that are, and those up to the last."""
+    places = np.flatnonzero(np.diff(cycles, prepend=first - 1) > 1).tolist()
     for place in places:
-        begin, end = int(cycles[place - 1]) + 1 if place else 0, int(cycles[place]) - 1
+        begin, end = int(cycles[place - 1]) + 1 if place else first, int(cycles[place]) - 1
         reasons = [m.reason for m in markers if m.first_cycle <= end and m.last_cycle >= begin]
         yield Gap(begin, end, "; ".join(dict.fromkeys(reasons)) or UNMARKED)
-    last = int(cycles[-1]) if cycles.size else -1
+    last = int(cycles[-1]) if cycles.size else first - 1
     for marker in markers:
         if marker.last_cycle > last:
             yield Gap(max(marker.first_cycle, last + 1), marker.last_cycle, marker.reason)
