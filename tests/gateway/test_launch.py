@@ -161,6 +161,18 @@ def test_slip_is_looked_for_while_it_speeds_up_straight_on() -> None:
     assert slipping(wz=0.5) == [], "in a curve the shares change all the time"
 
 
+@pytest.mark.parametrize("ended", ["braking", "forgotten"])
+def test_torque_is_held_after_a_launch_until_it_brakes_or_all_is_forgotten(ended: str) -> None:
+    law = launch_law(Pusher(True, True, hosted=False, torque=10.0))
+    ramp(law, 3.0, 5)
+    steady, pushing = (3.0 * DT * 5, 0.0, 0.0), measured([0.0] * 4, [50.0] * 4)
+    assert None not in [one.limit for one in law.motion(steady, pushing, braking=False).commands]
+    if ended == "forgotten":
+        law.forget_told()
+    for braking in (ended == "braking", False):
+        assert {one.limit for one in law.motion(steady, pushing, braking=braking).commands} == {None}
+
+
 HOSTED = Pusher(True, True, hosted=True, torque=4.5)
 
 
