@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
-SYNC_PERIOD_S = 1.0
 _NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
 _DIGITS = 18  # of the longest number that is believed
@@ -198,16 +197,18 @@ def _write_number(folder: Path, number: int) -> None:
 
 
 class Syncer:
-    """Asks the kernel about once per second, in its own thread, to bring the open segment to the disk.
+    """Asks the kernel after each batch, in its own thread, to bring the open segment to the disk.
 
-    Rerun hands its data to the kernel and never syncs; without this a power cut would cost half a minute.
+    Rerun hands its data to the kernel and never syncs; without this a power cut would cost half a minute. A disk that
+    takes longer than from one batch to the next is asked again when it is done, and nobody waits for it.
     """
 
     def __init__(self) -> None:
         self.error: str | None = None
         self._path: Path | None = None
         self._synced: Path | None = None
-        self._ended = threading.Event()
+        self._written = threading.Event()
+        self._ended = False
         self._thread = threading.Thread(target=self._run, name="syncer", daemon=True)
         self._thread.start()
 
@@ -215,15 +216,21 @@ class Syncer:
         """Sync this file from now on."""
         self._path = path
 
+    def written(self) -> None:
+        """The kernel has something new of it."""
+        self._written.set()
+
     def close(self) -> None:
         """Sync once more and end."""
-        self._ended.set()
+        self._ended = True
+        self._written.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._ended.wait(SYNC_PERIOD_S):
+        while not self._ended:
+            self._written.wait()
+            self._written.clear()
             self._sync()
-        self._sync()
 
     def _sync(self) -> None:
         path = self._path

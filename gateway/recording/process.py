@@ -5,7 +5,7 @@ How this works
 The service keeps one end of a socket pair and gives the other to this process. It sleeps a little and takes what has
 come, so that a sending service never has to wake anybody. End of file (the service closed, or died in any way) means:
 write what is left, close the footer, go; the session counts as ended only if the service said so before. The signals
-that end the service are blocked here from birth.
+that end the service are blocked here from birth. Killed itself, it loses what has come since the last batch.
 """
 
 import contextlib
@@ -37,8 +37,8 @@ from gateway.recording.writer import SessionWriter
 
 logger = logging.getLogger(__name__)
 
-BATCH_NS = 1_000_000_000
-BATCH_RECORDS = 1000
+FLUSH_NS = 400_000_000  # of the first record of a batch waiting: with what it takes to write it, below 0.5 s
+BATCH_RECORDS = 1000  # at most
 DRAIN_PERIOD_S = 0.02
 EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
 EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
@@ -109,7 +109,7 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
                 snapshot = packet
                 continue
             if not records:
-                due_ns = time.monotonic_ns() + BATCH_NS
+                due_ns = time.monotonic_ns() + FLUSH_NS
             records.append(packet)
         full = len(records) >= BATCH_RECORDS
         if records and (full or inbox.ended or time.monotonic_ns() >= due_ns):

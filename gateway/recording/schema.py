@@ -2,7 +2,7 @@
 
 How this works
 --------------
-The unit is the cycle, and what Rerun stores is a batch of them, at most a second: one row of `/cycles`, whose only
+The unit is the cycle, and what Rerun stores is a batch of them, some 0.4 s: one row of `/cycles`, whose only
 cell is a block (`gateway.recording.block`). In a block each table below has its rows column by column. `cycles` has
 one row per cycle, which says how many rows that cycle has in every other table. A row of Rerun's own for each cycle
 and table costs 20 to 40 bytes before anything is said in it, and its reader some 5 us (measured with 0.41).

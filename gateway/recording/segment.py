@@ -4,6 +4,7 @@ Rerun's messages carry no checksum, and two of three flipped bits in them read b
 0.41). So the last message is a seal: length and CRC of everything in front of it, read back from what was written.
 """
 
+import logging
 import os
 import zlib
 from collections.abc import Sequence
@@ -46,7 +47,10 @@ from gateway.recording.schema import (
 )
 from gateway.recording.views import Views
 
+logger = logging.getLogger(__name__)
+
 FLUSH_TIMEOUT_S = 3.0
+DRAW_NS = 900_000_000  # of cycles are drawn at once, at least: each entity costs a kilobyte every time
 FOOTER_BYTES = 135_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
 FOOTER_BYTES_PER_BATCH = 1000
 _PIECE = 1 << 20  # read at a time
@@ -81,6 +85,8 @@ class Segment:
         self._file = path.open("rb", buffering=0)
         self._bytes = self._crc32 = 0  # of what has been written
         self.batches = 0  # written so far
+        self._undrawn: list[Record] = []
+        self._undrawn_gaps: list[Gap] = []
         self._send_header(header)
         views.begin(self._recording)
         self.flush()
@@ -88,18 +94,38 @@ class Segment:
     def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         """Write a batch, whole or, when a value does not fit its column, not at all (OverflowError, ...)."""
         if records:
-            self._write_records(records, gaps)
+            self._write_records(records)
         if gaps:
             self._send_gaps(gaps)
         self.batches += 1
+        self._draw_later(records, gaps)
 
-    def _write_records(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
-        times = Times(records)
+    def _write_records(self, records: Sequence[Record]) -> None:
         columns = arrays(BLOCK_COLUMNS, [(len(records), packed(records))])
-        self._views.send(self._recording, records, gaps, times)
-        self._send_status(records, times)
         block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
-        self._recording.send_columns(BLOCK_PATH, times.at(np.zeros(1, np.int64)), block)
+        self._recording.send_columns(BLOCK_PATH, Times(records[:1]).at(np.zeros(1, np.int64)), block)
+
+    def _draw_later(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
+        """Pictures follow from what is written, and may be lost with the process: they come a second at a time."""
+        if gaps:  # they are drawn in front of the first cycle behind them
+            self._draw()
+        self._undrawn += records
+        self._undrawn_gaps += gaps
+        if self._undrawn and self._undrawn[-1].inputs.now_ns - self._undrawn[0].inputs.now_ns >= DRAW_NS:
+            self._draw()
+
+    def _draw(self) -> None:
+        if not self._undrawn:
+            return
+        records, gaps = self._undrawn, self._undrawn_gaps
+        self._undrawn, self._undrawn_gaps = [], []
+        times = Times(records)
+        try:
+            self._views.send(self._recording, records, gaps, times)
+            self._send_status(records, times)
+        except (OverflowError, TypeError, ValueError) as error:
+            first, last = records[0].inputs.cycle, records[-1].inputs.cycle
+            logger.warning("cycles %d to %d are recorded, but not drawn: %s", first, last, error)
 
     def keep(self, snapshot: Snapshot) -> None:
         """Write the state of the core from which the next batch goes on."""
@@ -132,7 +158,8 @@ class Segment:
         return self._bytes + FOOTER_BYTES + FOOTER_BYTES_PER_BATCH * self.batches
 
     def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> None:
-        """Write seal and footer. Raises WriterDeadError."""
+        """Write what is not drawn yet, seal and footer. Raises WriterDeadError."""
+        self._draw()
         self.flush()
         columns = arrays(SEAL_COLUMNS, [(self._bytes, self._crc32, first_segment, final, last_cycle)])
         self._recording.log(SEAL_PATH, rr.DynamicArchetype(SEAL_ARCHETYPE, components=columns), static=True)

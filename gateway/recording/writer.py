@@ -115,6 +115,7 @@ class SessionWriter:
                 self._snapshot_ns = time.monotonic_ns()
             self._write(self._segment, records)
             self._segment.flush()
+            self._syncer.written()
             self._largest_batch = max(self._largest_batch, (self._segment.size() or 0) - before)
         self._records += len(records)
         self._settled_cycle = records[-1].inputs.cycle if records else self._settled_cycle

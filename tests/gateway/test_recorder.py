@@ -10,11 +10,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
 from drivers.contract import CanFrame
 from gateway.recording import child as recorder_child
+from gateway.recording import process as recorder_process
 from gateway.recording import recorder as recorder_module
 from gateway.recording.disk import new_session, next_segment, segments
 from gateway.recording.packets import Record
@@ -302,6 +304,30 @@ def test_a_full_disk_pauses_the_recording(tmp_path: Path) -> None:
     assert (gap.first_cycle, gap.last_cycle) == (100, 199)
     assert gap.reason.startswith("disk full")
     assert list(read.cycles()) == expected(records[:100] + records[200:])
+
+
+def test_every_batch_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the kernel alone has is lost with the power: what was asked to be on the disk holds the whole batch."""
+    synced: SimpleQueue[tuple[Path, bytes]] = SimpleQueue()
+
+    def sync(path: Path) -> None:
+        synced.put((path, path.read_bytes() if path.is_file() else b""))
+
+    records = list(drive(60))
+    session = writer(tmp_path)
+    monkeypatch.setattr("gateway.recording.disk.sync", sync)
+    for end in (20, 40, 60):
+        session.write(records[end - 20 : end])
+        path, content = synced.get(timeout=PATIENCE_S)
+        if end == 20:  # the file itself must be found, too
+            assert synced.get(timeout=PATIENCE_S)[0] == session.folder
+        (tmp_path / path.name).write_bytes(content)
+        assert list(open_session(tmp_path / path.name).cycles()) == expected(records[:end])
+    session.close()
+
+
+def test_a_batch_waits_for_less_than_half_a_second() -> None:
+    assert recorder_process.FLUSH_NS * 1e-9 + recorder_process.DRAIN_PERIOD_S < 0.45
 
 
 def test_rotation_by_age_and_a_folder_taken_away(tmp_path: Path) -> None:

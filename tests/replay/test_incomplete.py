@@ -22,7 +22,7 @@ from tests.recordings import world_writer, write, write_drive
 from tests.replay.test_session import message_ends
 from tests.world import World
 
-OLD = Path(__file__).parent.parent / "sessions"  # recorded by version 0.1.0, before segments had seals
+OLD = Path(__file__).parent.parent / "sessions"  # v1: before segments had seals; v2: before cycles had a digest chain
 SEGMENTS = 3
 BATCH = 60
 
@@ -252,6 +252,15 @@ def test_older_recordings_are_read_whole(name: str) -> None:
     verdict = verify(session)
     assert verdict.exit_code == 1
     assert "arithmetic the machine's libraries, now own" in str(verdict.software_change)
+
+
+def test_a_recording_of_schema_2_is_read_whole() -> None:
+    session = open_session(OLD / "v2-moby")
+    assert session.header.schema_version == 2
+    assert [inputs.cycle for inputs, _ in session.cycles()] == list(range(258))
+    verdict = verify(session)
+    assert verdict.complete
+    assert (verdict.exit_code == 0) is verdict.identical
 
 
 @pytest.mark.parametrize(("spoil", "exit_code"), [(lambda _: None, 0), (without(3), 3), (without(1), 2)])
