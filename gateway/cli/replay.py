@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.replay_files import repair
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
@@ -36,6 +37,9 @@ replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True, ric
 @replay.callback()
 def _group() -> None:
     """Re-run recorded sessions."""
+
+
+replay.command()(repair)
 
 
 @replay.command()

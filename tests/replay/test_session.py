@@ -52,7 +52,6 @@ from gateway.types import (
     TwistCommand,
     TwistFrame,
 )
-from replay.sessions.framing import repair
 from replay.sessions.reader import SessionError, open_session
 from replay.sessions.software import change
 from tests.drives import drive
@@ -459,16 +458,6 @@ def test_rerun_itself_reads_the_same_rows(tmp_path: Path) -> None:
             assert cycles[0] == cycle
             found += zip(cycles, unpacked(block).cycles.numbers("now_ns").tolist(), strict=True)
     assert found == [(record.inputs.cycle, record.inputs.now_ns) for record in records]
-
-
-def test_repair_leaves_a_file_that_the_viewer_opens(tmp_path: Path) -> None:
-    path = write(tmp_path, list(drive(40)), batch=20) / "segment-00001.rrd"
-    data = path.read_bytes()
-    cut_at = message_ends(data)[-2] - 1  # behind the last rows is the seal
-    path.write_bytes(data[:cut_at])
-    cut = repair(path, tmp_path / "repaired.rrd")
-    assert cut == (len(message_ends(data)) - 2, 0, cut_at - message_ends(data)[-3])
-    assert len(list(open_session(tmp_path / "repaired.rrd").cycles())) == 40
 
 
 @pytest.mark.parametrize(
