@@ -61,7 +61,8 @@ def verify(
     --json: identical (true with exit 0 only), complete, cycles and frames compared, unseen (cycles that could not be),
     realtime_ratio, first_difference (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or
     null), refused (why a snapshot was of no use, or null), exit_code, software_change (what computes the outputs and is
-    not what it was, or null).
+    not what it was, or null), first_unproven (the first cycle that is missing or, by the digest chain, not as it was
+    recorded, or null).
     """
     try:
         verdict = verify_with_progress(open_session(session), jobs)
@@ -286,6 +287,8 @@ def show(verdict: Verdict) -> None:
         console.print("[yellow]not replayable[/]: nothing could be compared")
     if verdict.problem is not None:
         console.print(f"  the recording: {verdict.problem}", highlight=False)
+    if verdict.first_unproven is not None:
+        console.print(f"  proven are the cycles in front of {verdict.first_unproven}", highlight=False)
     if verdict.unseen:
         console.print(f"  not compared: {verdict.unseen} cycles that no snapshot leads to", highlight=False)
     if verdict.refused is not None:

@@ -196,7 +196,7 @@ class Recorder:
             return
         if self.session is None:
             self.session = Path(report.folder).absolute()
-            self._hello = self._hello._replace(folder=str(self.session))
+        self._hello = self._hello._replace(folder=str(self.session), chain=report.chain)
         if report.error != self.error:
             if report.error is not None:
                 logger.warning("recording: %s", report.error)

@@ -16,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from gateway.recording.block import packed
+from gateway.recording.chain import beginning, link
 from gateway.recording.columns import Times, arrays
 from gateway.recording.disk import FILE_MODE
 from gateway.recording.packets import Gap, Record, Snapshot
@@ -85,9 +86,11 @@ class Segment:
         self._file = path.open("rb", buffering=0)
         self._bytes = self._crc32 = 0  # of what has been written
         self.batches = 0  # written so far
+        text = msgspec.json.encode(header).decode()
+        self.chain = beginning(text)  # so far
         self._undrawn: list[Record] = []
         self._undrawn_gaps: list[Gap] = []
-        self._send_header(header)
+        self._send_header(header, text)
         views.begin(self._recording)
         self.flush()
 
@@ -101,9 +104,12 @@ class Segment:
         self._draw_later(records, gaps)
 
     def _write_records(self, records: Sequence[Record]) -> None:
-        columns = arrays(BLOCK_COLUMNS, [(len(records), packed(records))])
+        stored = packed(records)
+        chain = link(self.chain, records[0].inputs.cycle, len(records), stored)
+        columns = arrays(BLOCK_COLUMNS, [(len(records), stored, self.chain, chain)])
         block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
         self._recording.send_columns(BLOCK_PATH, Times(records[:1]).at(np.zeros(1, np.int64)), block)
+        self.chain = chain
 
     def _draw_later(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         """Pictures follow from what is written, and may be lost with the process: they come a second at a time."""
@@ -129,9 +135,12 @@ class Segment:
 
     def keep(self, snapshot: Snapshot) -> None:
         """Write the state of the core from which the next batch goes on."""
-        columns = arrays(SNAPSHOT_COLUMNS, [(snapshot.cycle, snapshot.state, zlib.crc32(snapshot.state))])
+        cycle, stored = snapshot.cycle, snapshot.state
+        chain = link(self.chain, cycle, 0, stored)
+        columns = arrays(SNAPSHOT_COLUMNS, [(cycle, stored, zlib.crc32(stored), self.chain, chain)])
         state = rr.DynamicArchetype.columns(archetype=SNAPSHOT_ARCHETYPE, components=columns)
-        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[snapshot.cycle])], state)
+        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[cycle])], state)
+        self.chain = chain
 
     def _send_status(self, records: Sequence[Record], times: Times) -> None:
         said = [(place, record.outputs.status) for place, record in enumerate(records)]
@@ -161,7 +170,8 @@ class Segment:
         """Write what is not drawn yet, seal and footer. Raises WriterDeadError."""
         self._draw()
         self.flush()
-        columns = arrays(SEAL_COLUMNS, [(self._bytes, self._crc32, first_segment, final, last_cycle)])
+        seal = (self._bytes, self._crc32, first_segment, final, last_cycle, self.chain)
+        columns = arrays(SEAL_COLUMNS, [seal])
         self._recording.log(SEAL_PATH, rr.DynamicArchetype(SEAL_ARCHETYPE, components=columns), static=True)
         self.flush()
         self._recording.disconnect()
@@ -173,14 +183,13 @@ class Segment:
         self._file.seek(-FOOTER_TAIL.size, os.SEEK_END)
         return FOOTER_MARK in self._file.read()
 
-    def _send_header(self, header: Header) -> None:
-        row = (header.schema_version, msgspec.json.encode(header).decode())
+    def _send_header(self, header: Header, text: str) -> None:
         self._recording.send_recording_name(header.session)
         self._recording.send_recording_start_time_nanos(header.started_wall_ns)
-        columns = arrays(HEADER_COLUMNS, [row])
+        columns = arrays(HEADER_COLUMNS, [(header.schema_version, text)])
         self._recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
-        text = f"```toml\n{header.config_text}\n```"
-        self._recording.log("/config", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        shown = f"```toml\n{header.config_text}\n```"
+        self._recording.log("/config", rr.TextDocument(shown, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _send_gaps(self, gaps: Sequence[Gap]) -> None:
         rows = [(gap.first_cycle, gap.last_cycle, gap.reason) for gap in gaps]

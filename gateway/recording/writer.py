@@ -77,6 +77,7 @@ class SessionWriter:
         self._settled_cycle: int | None = None
         self._error: str | None = None
         self._closed = False
+        self._chain = hello.chain
 
     def report(self) -> RecorderReport:
         """How the session stands."""
@@ -88,6 +89,7 @@ class SessionWriter:
             lost=self._lost,
             error=self._error or self._syncer.error,
             closed=self._closed,
+            chain=self._chain,
         )
 
     def open(self) -> None:
@@ -116,6 +118,7 @@ class SessionWriter:
             self._write(self._segment, records)
             self._segment.flush()
             self._syncer.written()
+            self._chain = self._segment.chain.hex()
             self._largest_batch = max(self._largest_batch, (self._segment.size() or 0) - before)
         self._records += len(records)
         self._settled_cycle = records[-1].inputs.cycle if records else self._settled_cycle
@@ -156,13 +159,16 @@ class SessionWriter:
             self._keep_budget()
             number = max(next_segment(self.folder), self._number + 1)
             path = segment_path(self.folder, number)
-            numbered = msgspec.structs.replace(self._header, segment=number, first_segment=self._first_segment)
+            numbered = msgspec.structs.replace(
+                self._header, segment=number, first_segment=self._first_segment, chain=self._chain
+            )
             self._segment = Segment(path, header=numbered, views=self._views, blueprint=self._blueprint)
         except OSError as error:
             self._fail(f"cannot open a segment in {self.folder}: {error}")
             return
         self._number = number
         self._opened_ns = time.monotonic_ns()
+        self._chain = self._segment.chain.hex()
         self._syncer.watch(path)
         self._error = None
 

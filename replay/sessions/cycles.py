@@ -17,13 +17,30 @@ import numpy.typing as npt
 from drivers.contract import CanFrame
 from gateway.recording.block import DAMAGED, Block, unpacked
 from gateway.recording.packets import Gap
-from gateway.recording.schema import BLOCK_COLUMNS, BLOCK_PATH, COUNTERS, CYCLE, INPUTS, OUTPUTS, Kind, Table
+from gateway.recording.schema import (
+    BLOCK_COLUMNS,
+    BLOCK_PATH,
+    COUNTERS,
+    CYCLE,
+    INPUTS,
+    OUTPUTS,
+    SEAL_COLUMNS,
+    SEAL_PATH,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
+    Kind,
+    Table,
+)
 from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
 from replay.sessions.tables import Layout, Tables
 
 WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
 SPOILT = "not as it was written"
-LAYOUT: Layout = {BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS}}
+LAYOUT: Layout = {
+    BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS},
+    SEAL_PATH: SEAL_COLUMNS,
+    SNAPSHOT_PATH: SNAPSHOT_COLUMNS,
+}
 
 Integers = npt.NDArray[np.int64]
 _MODES = {mode.value: mode for mode in Mode}
@@ -135,6 +152,16 @@ def blocks_of(tables: Tables) -> list[Packed]:
         return []
     rows = (columns[CYCLE], columns["count"].flatten(), columns["block"].flatten())
     return [Packed(*row) for row in zip(*(row.to_pylist() for row in rows), strict=True)]
+
+
+def first_spoilt(packed: Packed) -> int:
+    """The first cycle of a block whose values do not fit its check; the first of all if there is none, or no block."""
+    try:
+        block = unpacked(packed.block)
+    except DAMAGED:
+        return packed.first_cycle
+    spoilt = np.flatnonzero(~block.whole)
+    return int(block.cycles.numbers("cycle")[spoilt[0]]) if spoilt.size else packed.first_cycle
 
 
 def rows_of(tables: Tables) -> CycleRows:

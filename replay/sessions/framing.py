@@ -47,11 +47,15 @@ class Kept(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Record batches by entity path, the place in the file of the last message of each, and what is wrong with it."""
+    """Record batches by entity path, the place in the file of the last message of each, and what is wrong with it.
+
+    `intact`: nothing in it is damaged but perhaps its end.
+    """
 
     batches: dict[str, list[pa.RecordBatch]]
     places: dict[str, int]
     problem: str | None
+    intact: bool
 
 
 class _Message(NamedTuple):
@@ -75,9 +79,10 @@ def read(path: Path, entities: Collection[str], *, first_only: bool = False) -> 
     batches: dict[str, list[pa.RecordBatch]] = {}
     places: dict[str, int] = {}
     with path.open("rb") as file, _mapped(file.fileno(), path) as data:
-        intact, ended = data[: len(MAGIC)] == MAGIC, False
+        whole, intact, ended = data[: len(MAGIC)] == MAGIC, True, False
         for piece in _pieces(data, entities):
-            intact &= piece.kind is not None
+            whole &= piece.kind is not None
+            intact &= piece.kind is not None or piece.end == len(data)
             ended |= piece.kind == _END and _is_in_place(data, piece)
             if piece.table is None:
                 continue
@@ -85,7 +90,7 @@ def read(path: Path, entities: Collection[str], *, first_only: bool = False) -> 
             places[piece.entity] = piece.start
             if first_only:
                 break
-        return Found(batches, places, _problem(data, ended=ended, intact=intact))
+        return Found(batches, places, _problem(data, ended=ended, whole=whole), intact)
 
 
 def checksum(path: Path, length: int) -> int:
@@ -113,13 +118,13 @@ def repair(source: Path, target: Path, progress: Callable[[int], None] = lambda 
     return Kept(messages, tuple(dropped))
 
 
-def _problem(data: mmap.mmap, *, ended: bool, intact: bool) -> str | None:
+def _problem(data: mmap.mmap, *, ended: bool, whole: bool) -> str | None:
     """What is wrong with a file, from whether its end is in its place and all of its messages could be read."""
     if not ended:
         if FOOTER_MARK in data[-FOOTER_TAIL.size :]:
             return "it is not as it was written: bytes are missing, added or changed"
         return "it was not closed: its end may be missing"
-    return None if intact else "it is damaged"
+    return None if whole else "it is damaged"
 
 
 def _mapped(descriptor: int, path: Path) -> mmap.mmap:

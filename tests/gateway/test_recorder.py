@@ -144,6 +144,10 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(100, 149)]
     assert "exit code -9" in session.gaps[0].reason
     assert list(session.cycles()) == expected(records[:100] + records[150:])
+    assert session.first_unproven == 100
+    assert not [problem for problem in session.problems if "chain" in problem]
+    assert session.segments[1].name == "segment-00002.rrd"
+    assert open_session(session.segments[1]).header.chain is not None
     assert recorder.dropped == 50
 
 
