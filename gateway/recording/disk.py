@@ -5,7 +5,8 @@ How this works
 Each session folder holds its segments and its number, one more than the largest one there was when it was made: what
 is older is read from that and never from a clock, which may start in 1970. Whoever writes a session holds a lock on
 its folder, which the kernel frees with the process. Room is made among the sessions of one robot only: older sessions
-first, then the oldest closed segments of the one being written. Links are neither followed nor deleted.
+first, then the oldest closed segments of the one being written. Links are neither followed nor deleted. What a segment
+cannot say of its own last bytes stands beside it in `SHA256SUMS`, as the program of that name writes it.
 """
 
 import contextlib
@@ -20,8 +21,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
+SUMS = "SHA256SUMS"
 _NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
+_SUM = re.compile(r"([0-9a-f]{64})  (segment-\d{5,}\.rrd)")
 _DIGITS = 18  # of the longest number that is believed
 
 
@@ -90,6 +93,24 @@ def segment_path(folder: Path, number: int) -> Path:
     return folder / f"segment-{number:05d}.rrd"
 
 
+def add_sum(segment: Path, sha256: str) -> None:
+    """Note the digest of a closed segment beside it. Raises OSError."""
+    path = segment.with_name(SUMS)
+    with path.open("a", encoding="ascii") as file:
+        file.write(f"{sha256}  {segment.name}\n")
+    path.chmod(FILE_MODE)
+    sync(path)
+
+
+def noted_sums(folder: Path) -> dict[str, str] | None:
+    """Digest of each closed segment by its name; None if nobody has noted any. Raises OSError."""
+    try:
+        text = (folder / SUMS).read_text(encoding="latin-1")
+    except FileNotFoundError:
+        return None
+    return {match[2]: match[1] for match in map(_SUM.fullmatch, text.splitlines()) if match}
+
+
 def free_bytes(folder: Path) -> int:
     """Room left for an ordinary user on the file system of the folder."""
     system = os.statvfs(folder)
@@ -121,7 +142,8 @@ def delete(one: Disposable) -> None:
             for path in segments(one.path):
                 if not path.is_symlink():
                     path.unlink()
-            (one.path / _NUMBER_FILE).unlink(missing_ok=True)
+            for name in (_NUMBER_FILE, SUMS):
+                (one.path / name).unlink(missing_ok=True)
             with contextlib.suppress(OSError):  # not empty
                 one.path.rmdir()
 

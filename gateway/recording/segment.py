@@ -5,9 +5,9 @@ Rerun's messages carry no checksum, and two of three flipped bits in them read b
 """
 
 import logging
-import os
 import zlib
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
 import msgspec
@@ -85,6 +85,8 @@ class Segment:
         path.chmod(FILE_MODE)
         self._file = path.open("rb", buffering=0)
         self._bytes = self._crc32 = 0  # of what has been written
+        self._sha256 = sha256()
+        self._tail = b""
         self.batches = 0  # written so far
         text = msgspec.json.encode(header).decode()
         self.chain = beginning(text)  # so far
@@ -156,9 +158,14 @@ class Segment:
             self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except RuntimeError as error:
             raise WriterDeadError(str(error)) from None
+        self._read_back()
+
+    def _read_back(self) -> None:
         while piece := self._file.read(_PIECE):
             self._bytes += len(piece)
             self._crc32 = zlib.crc32(piece, self._crc32)
+            self._sha256.update(piece)
+            self._tail = (self._tail + piece)[-FOOTER_TAIL.size :]
 
     def size(self) -> int | None:
         """Bytes it would have if it were closed now; None if somebody has taken the file away."""
@@ -166,8 +173,8 @@ class Segment:
             return None
         return self._bytes + FOOTER_BYTES + FOOTER_BYTES_PER_BATCH * self.batches
 
-    def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> None:
-        """Write what is not drawn yet, seal and footer. Raises WriterDeadError."""
+    def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> str:
+        """Write what is not drawn yet, seal and footer; SHA-256 of the whole file, hex. Raises WriterDeadError."""
         self._draw()
         self.flush()
         seal = (self._bytes, self._crc32, first_segment, final, last_cycle, self.chain)
@@ -176,12 +183,10 @@ class Segment:
         self.flush()
         self._recording.disconnect()
         with self._file:
-            if not self._has_footer():
-                raise WriterDeadError("the footer is not in the file")  # Rerun only logs it
-
-    def _has_footer(self) -> bool:
-        self._file.seek(-FOOTER_TAIL.size, os.SEEK_END)
-        return FOOTER_MARK in self._file.read()
+            self._read_back()
+        if FOOTER_MARK not in self._tail:
+            raise WriterDeadError("the footer is not in the file")  # Rerun only logs it
+        return self._sha256.hexdigest()
 
     def _send_header(self, header: Header, text: str) -> None:
         self._recording.send_recording_name(header.session)

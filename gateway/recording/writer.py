@@ -25,6 +25,7 @@ from gateway.recording.disk import (
     Disposable,
     Hold,
     Syncer,
+    add_sum,
     delete,
     disposable,
     free_bytes,
@@ -232,10 +233,11 @@ class SessionWriter:
         if self._segment is None:
             return
         last = self._settled_cycle if final else None
-        self._segment.close(first_segment=self._first_segment, final=final, last_cycle=last)
+        digest = self._segment.close(first_segment=self._first_segment, final=final, last_cycle=last)
         self._syncer.watch(None)
         try:
             sync(self._segment.path)
+            add_sum(self._segment.path, digest)
         except OSError as error:
             self._fail(f"{self._segment.path}: {error.strerror}")
         self._segment = None

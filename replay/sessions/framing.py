@@ -13,6 +13,7 @@ the structure it should have.
 Source: measured with rerun-sdk 0.41.0 (layout of the framing and of the ArrowMsg fields).
 """
 
+import hashlib
 import mmap
 import re
 import zlib
@@ -97,6 +98,12 @@ def checksum(path: Path, length: int) -> int:
     """CRC-32 of so many bytes from the start of the file. Raises ValueError if it is no Rerun file, OSError."""
     with path.open("rb") as file, _mapped(file.fileno(), path) as data, memoryview(data) as view, view[:length] as part:
         return zlib.crc32(part)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of the whole file, hex. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def repair(source: Path, target: Path, progress: Callable[[int], None] = lambda _: None) -> Kept:

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from gateway.recording.disk import segment_number, segments
+from gateway.recording.disk import SUMS, noted_sums, segment_number, segments
 from gateway.recording.packets import Gap, encode
 from gateway.recording.schema import (
     GAP_COLUMNS,
@@ -35,7 +35,7 @@ from gateway.recording.schema import (
 from replay.sessions import cycles, version_1, version_2
 from replay.sessions.chain import EXCHANGED, Break, Chained, goes_on, judged
 from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Window, made
-from replay.sessions.framing import Found, checksum, read
+from replay.sessions.framing import Found, checksum, digest, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
 __all__ = ["RecordedOutputs", "Session", "SessionError", "Stretch", "open_session"]
@@ -311,7 +311,7 @@ class Session:
         elif header.segment != (segment_number(path) or header.segment):
             problems.append(f"it is segment {header.segment} by its header")
         if self.header.sealed and not problems:
-            problems += _seal_problems(path, seal, found)
+            problems += _seal_problems(path, seal, found) or _sum_problems(path)
         snapshots, whole = _snapshots(tables.get(SNAPSHOT_PATH))
         self._snapshots |= snapshots
         if not whole:
@@ -423,6 +423,19 @@ def _seal_problems(path: Path, seal: _Seal | None, found: Found) -> list[str]:
     if found.places[SEAL_PATH] != seal.bytes or checksum(path, seal.bytes) != seal.crc32:
         return ["it is not as it was written: it does not fit its seal"]
     return []
+
+
+def _sum_problems(path: Path) -> list[str]:
+    """Whether a closed segment is, to the last byte, what was noted; where nothing was noted its seal must do."""
+    try:
+        noted = noted_sums(path.parent)
+    except OSError as error:
+        return [f"{SUMS} cannot be read: {error.strerror}"]
+    if noted is None:
+        return []
+    if path.name not in noted:
+        return [f"it is not in {SUMS}"]
+    return [] if digest(path) == noted[path.name] else [f"it is not as it was written: it does not fit {SUMS}"]
 
 
 def _count(path: Path, version: _Version) -> int:

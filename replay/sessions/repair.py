@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from gateway.recording.disk import FILE_MODE, make_folder, segment_path, sync
+from gateway.recording.disk import FILE_MODE, add_sum, make_folder, noted_sums, segment_path, sync
 from gateway.recording.packets import Gap
 from replay.sessions.framing import Kept, read, repair
 from replay.sessions.reader import Session, SessionError, open_session
@@ -109,4 +109,7 @@ def _segment(source: Path, target: Path, progress: Callable[[int], None]) -> Rep
         return RepairedSegment(source.name, None, str(error))
     target.chmod(FILE_MODE)
     sync(target)
+    noted = (noted_sums(source.parent) or {}).get(source.name)
+    if kept is None and noted is not None:
+        add_sum(target, noted)
     return RepairedSegment(source.name, kept)
