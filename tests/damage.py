@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from mmap import mmap
 from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
@@ -26,7 +25,7 @@ RATE = 250.0
 PATIENCE_S = 20.0
 LONGEST_S = 1.5  # that a process is left alone before it is killed: some flush intervals
 FLUSHED = 100  # cycles of a batch at RATE
-_LAST = Struct("<qq")  # cycle and time
+LAST = Struct("<qq")  # cycle and time
 
 
 class Loss(NamedTuple):
@@ -79,7 +78,7 @@ def kill_services(directory: Path, kills: int, seed: int, *, recorder_too: bool)
 
 def _killed(folder: Path, after_s: float, *, recorder_too: bool) -> Loss:
     shared = folder / "last"
-    shared.write_bytes(bytes(_LAST.size))
+    shared.write_bytes(bytes(LAST.size))
     command = [sys.executable, "-c", "from tests.damage import serve; serve()", str(folder), str(shared)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as service:
         assert service.stdout is not None
@@ -93,7 +92,7 @@ def _killed(folder: Path, after_s: float, *, recorder_too: bool) -> Loss:
     ready, _, _ = select.select([ended], [], [], PATIENCE_S)
     os.close(ended)
     assert ready, "the recorder lives on"
-    _, last_ns = _LAST.unpack(shared.read_bytes())
+    _, last_ns = LAST.unpack(shared.read_bytes())
     try:
         session = open_session(Path(told[1]))
     except SessionError as error:
@@ -109,10 +108,10 @@ def serve() -> None:
     directory, shared = map(Path, sys.argv[1:])
     recorder = Recorder(robot(directory), robot_text())
     assert recorder._child is not None
-    with shared.open("r+b") as file, mmap(file.fileno(), _LAST.size) as last:
+    with shared.open("r+b", buffering=0) as last:
         for record in drive_in_time():
             recorder.put(record.inputs, record.outputs, record.timing)
-            _LAST.pack_into(last, 0, record.inputs.cycle, record.inputs.now_ns)
+            os.pwrite(last.fileno(), LAST.pack(record.inputs.cycle, record.inputs.now_ns), 0)
             if record.inputs.cycle == 0:
                 sys.stdout.write(f"{recorder._child.pid} {recorder.session}\n")
                 sys.stdout.flush()
