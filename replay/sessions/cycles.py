@@ -34,7 +34,9 @@ from gateway.recording.schema import (
 from gateway.types import Event, Inputs, Mode, Odometry, Outputs, Reply
 from replay.sessions.tables import Layout, Tables
 
-WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
+WINDOW = (
+    512  # cycles turned into Python values at a time: a batch at 1 kHz whole; many more are slower, by the collector
+)
 SPOILT = "not as it was written"
 LAYOUT: Layout = {
     BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS},
