@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -332,6 +333,56 @@ def test_every_batch_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_batch_waits_for_less_than_half_a_second() -> None:
     assert recorder_process.FLUSH_NS * 1e-9 + recorder_process.DRAIN_PERIOD_S < 0.45
+
+
+class _Inbox:
+    """Gives what it is asked for once, and ends at the second time."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.taken = 0
+        self.ended = False
+        self._records = records
+
+    def take(self, limit: int) -> list[Record]:
+        self.taken += 1
+        self.ended = self.taken > 1
+        assert len(self._records) <= limit
+        return [] if self.ended else list(self._records)
+
+    def send(self, report: object) -> None:
+        """Nobody listens."""
+
+
+class _Writer:
+    """Notes how often the inbox had been asked when something was written."""
+
+    def __init__(self, inbox: _Inbox) -> None:
+        self.written: list[tuple[int, int]] = []
+        self._inbox = inbox
+
+    def write(self, records: Sequence[Record], *_: object) -> None:
+        self.written.append((self._inbox.taken, len(records)))
+
+    def open(self) -> None:
+        """There is nothing to open."""
+
+    def report(self) -> None:
+        """There is nothing to tell."""
+
+    def close(self, *, ended: bool) -> None:
+        """There is nothing to close."""
+
+
+@pytest.mark.parametrize(("cycles", "written"), [(20, [(2, 20)]), (60, [(1, 60)])])
+def test_cycles_that_waited_for_a_recorder_do_not_wait_again(
+    monkeypatch: pytest.MonkeyPatch, cycles: int, written: list[tuple[int, int]]
+) -> None:
+    """A quarter of a second of the drive at once is from a backlog; 80 ms are what comes while a batch is written."""
+    monkeypatch.setattr(recorder_process, "_within_limit", nullcontext)
+    inbox = _Inbox(list(drive(cycles)))
+    found = _Writer(inbox)
+    recorder_process.record(inbox, found)  # type: ignore[arg-type]
+    assert found.written == written
 
 
 def test_rotation_by_age_and_a_folder_taken_away(tmp_path: Path) -> None:

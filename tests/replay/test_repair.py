@@ -97,6 +97,18 @@ def test_damage_costs_the_message_that_it_hits_and_no_other(recorded: Path, tmp_
         assert read(source, ()).problem is not None
 
 
+def test_a_length_that_takes_in_the_next_message(recorded: Path, tmp_path: Path) -> None:
+    data = (recorded / "segment-00001.rrd").read_bytes()
+    all_messages, ends = messages(data), [12, *message_ends(data)]
+    source, target = tmp_path / "segment-00001.rrd", tmp_path / "repaired.rrd"
+    for number in range(len(all_messages) - 1):
+        changed = bytearray(data)
+        struct.pack_into("<Q", changed, ends[number] + 8, ends[number + 2] - ends[number] - 16)
+        source.write_bytes(changed)
+        repair(source, target)
+        assert target.read_bytes() == data[:12] + b"".join(all_messages[:number] + all_messages[number + 1 :])
+
+
 def test_of_any_flipped_bit_at_most_one_message_is_dropped(recorded: Path, tmp_path: Path) -> None:
     data = (recorded / "segment-00001.rrd").read_bytes()
     generator = random.Random(3)
