@@ -237,13 +237,13 @@ def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Rec
     assert list(session.cycles()) == expected(records[: gap.first_cycle] + records[350:])
 
 
-STUCK_AT_THE_SECOND_BATCH = """
+STUCK_FROM_CYCLE_100 = """
 import sys
 from gateway.recording import process as recorder_process
 from gateway.recording.segment import Segment
 
 def write(segment, records, gaps, plain=Segment.write):
-    if segment.batches:  # a call that never returns and never lets go of the interpreter
+    if records and records[0].inputs.cycle >= 100:  # a call that never returns and never lets go of the interpreter
         sys.setswitchinterval(1e9)
         while True:
             pass
@@ -257,7 +257,7 @@ recorder_process.main(int(sys.argv[1]))
 
 def test_a_process_stuck_in_writing_is_replaced(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     healthy = pid(recorder)
-    monkeypatch.setattr(recorder_child, "PROGRAM", ("-c", STUCK_AT_THE_SECOND_BATCH))
+    monkeypatch.setattr(recorder_child, "PROGRAM", ("-c", STUCK_FROM_CYCLE_100))
     os.kill(healthy, signal.SIGKILL)
     until(recorder, lambda: recorder._child is not None and pid(recorder) != healthy)
     stuck = pid(recorder)
