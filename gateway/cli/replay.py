@@ -14,6 +14,7 @@ from rich.table import Table
 
 from gateway.cli import replay_inject, replay_io
 from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.replay_files import repair
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
@@ -41,6 +42,7 @@ def _group() -> None:
 
 replay_inject.register(replay)
 replay_io.register(replay)
+replay.command()(repair)
 
 
 @replay.command()
@@ -62,7 +64,8 @@ def verify(
     --json: identical (true with exit 0 only), complete, cycles and frames compared, unseen (cycles that could not be),
     realtime_ratio, first_difference (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or
     null), refused (why a snapshot was of no use, or null), exit_code, software_change (what computes the outputs and is
-    not what it was, or null).
+    not what it was, or null), first_unproven (the first cycle that is missing or, by the digest chain, not as it was
+    recorded, or null).
     """
     try:
         verdict = verify_with_progress(open_session(session), jobs)
@@ -287,6 +290,8 @@ def show(verdict: Verdict) -> None:
         console.print("[yellow]not replayable[/]: nothing could be compared")
     if verdict.problem is not None:
         console.print(f"  the recording: {verdict.problem}", highlight=False)
+    if verdict.first_unproven is not None:
+        console.print(f"  proven are the cycles in front of {verdict.first_unproven}", highlight=False)
     if verdict.unseen:
         console.print(f"  not compared: {verdict.unseen} cycles that no snapshot leads to", highlight=False)
     if verdict.refused is not None:

@@ -5,7 +5,8 @@ How this works
 Each session folder holds its segments and its number, one more than the largest one there was when it was made: what
 is older is read from that and never from a clock, which may start in 1970. Whoever writes a session holds a lock on
 its folder, which the kernel frees with the process. Room is made among the sessions of one robot only: older sessions
-first, then the oldest closed segments of the one being written. Links are neither followed nor deleted.
+first, then the oldest closed segments of the one being written. Links are neither followed nor deleted. What a segment
+cannot say of its own last bytes stands beside it in `SHA256SUMS`, as the program of that name writes it.
 """
 
 import contextlib
@@ -20,9 +21,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
-SYNC_PERIOD_S = 1.0
+SUMS = "SHA256SUMS"
 _NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
+_SUM = re.compile(r"([0-9a-f]{64})  (segment-\d{5,}\.rrd)")
 _DIGITS = 18  # of the longest number that is believed
 
 
@@ -91,6 +93,24 @@ def segment_path(folder: Path, number: int) -> Path:
     return folder / f"segment-{number:05d}.rrd"
 
 
+def add_sum(segment: Path, sha256: str) -> None:
+    """Note the digest of a closed segment beside it. Raises OSError."""
+    path = segment.with_name(SUMS)
+    with path.open("a", encoding="ascii") as file:
+        file.write(f"{sha256}  {segment.name}\n")
+    path.chmod(FILE_MODE)
+    sync(path)
+
+
+def noted_sums(folder: Path) -> dict[str, str] | None:
+    """Digest of each closed segment by its name; None if nobody has noted any. Raises OSError."""
+    try:
+        text = (folder / SUMS).read_text(encoding="latin-1")
+    except FileNotFoundError:
+        return None
+    return {match[2]: match[1] for match in map(_SUM.fullmatch, text.splitlines()) if match}
+
+
 def free_bytes(folder: Path) -> int:
     """Room left for an ordinary user on the file system of the folder."""
     system = os.statvfs(folder)
@@ -122,7 +142,8 @@ def delete(one: Disposable) -> None:
             for path in segments(one.path):
                 if not path.is_symlink():
                     path.unlink()
-            (one.path / _NUMBER_FILE).unlink(missing_ok=True)
+            for name in (_NUMBER_FILE, SUMS):
+                (one.path / name).unlink(missing_ok=True)
             with contextlib.suppress(OSError):  # not empty
                 one.path.rmdir()
 
@@ -198,16 +219,18 @@ def _write_number(folder: Path, number: int) -> None:
 
 
 class Syncer:
-    """Asks the kernel about once per second, in its own thread, to bring the open segment to the disk.
+    """Asks the kernel after each batch, in its own thread, to bring the open segment to the disk.
 
-    Rerun hands its data to the kernel and never syncs; without this a power cut would cost half a minute.
+    Rerun hands its data to the kernel and never syncs; without this a power cut would cost half a minute. A disk that
+    takes longer than from one batch to the next is asked again when it is done, and nobody waits for it.
     """
 
     def __init__(self) -> None:
         self.error: str | None = None
         self._path: Path | None = None
         self._synced: Path | None = None
-        self._ended = threading.Event()
+        self._written = threading.Event()
+        self._ended = False
         self._thread = threading.Thread(target=self._run, name="syncer", daemon=True)
         self._thread.start()
 
@@ -215,15 +238,21 @@ class Syncer:
         """Sync this file from now on."""
         self._path = path
 
+    def written(self) -> None:
+        """The kernel has something new of it."""
+        self._written.set()
+
     def close(self) -> None:
         """Sync once more and end."""
-        self._ended.set()
+        self._ended = True
+        self._written.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._ended.wait(SYNC_PERIOD_S):
+        while not self._ended:
+            self._written.wait()
+            self._written.clear()
             self._sync()
-        self._sync()
 
     def _sync(self) -> None:
         path = self._path

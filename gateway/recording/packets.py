@@ -12,7 +12,8 @@ class Hello(NamedTuple):
     """First packet to a recorder process. `folder`: the session to go on with; None starts a new one.
 
     `config_json` is what the service runs with, which a command line may have changed; `config_text` is the file.
-    `plant`: by what a simulated robot moves; None: nothing is simulated. `imported`: as of the header.
+    `plant`: by what a simulated robot moves; None: nothing is simulated. `imported`: as of the header. `chain`: in the
+    last report of the process before this one.
     """
 
     config_json: str
@@ -23,6 +24,7 @@ class Hello(NamedTuple):
     wall_minus_mono_ns: int
     plant: str | None = None
     imported: str | None = None
+    chain: str | None = None
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, tag="cycle"):
@@ -61,7 +63,7 @@ class RecorderReport(NamedTuple):
     """State of the recorder process; each report replaces the one before.
 
     `records` came in and are dealt with, the last of them `settled_cycle`; `lost` of them are not on the disk.
-    `error` None: all is well.
+    `error` None: all is well. `chain`: value of the digest chain (`gateway.recording.chain`) up to there, hex.
     """
 
     folder: str
@@ -71,6 +73,7 @@ class RecorderReport(NamedTuple):
     lost: int
     error: str | None
     closed: bool
+    chain: str | None = None
 
 
 Packet = Record | Snapshot | Gap | End

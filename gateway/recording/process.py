@@ -5,7 +5,7 @@ How this works
 The service keeps one end of a socket pair and gives the other to this process. It sleeps a little and takes what has
 come, so that a sending service never has to wake anybody. End of file (the service closed, or died in any way) means:
 write what is left, close the footer, go; the session counts as ended only if the service said so before. The signals
-that end the service are blocked here from birth.
+that end the service are blocked here from birth. Killed itself, it loses what has come since the last batch.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from gateway.config import RobotConfig
@@ -37,8 +37,9 @@ from gateway.recording.writer import SessionWriter
 
 logger = logging.getLogger(__name__)
 
-BATCH_NS = 1_000_000_000
-BATCH_RECORDS = 1000
+FLUSH_NS = 400_000_000  # of the first record of a batch waiting: with what it takes to write it, below 0.5 s
+BURST_NS = 100_000_000  # of cycles that come at once have waited for a recorder: they are not to wait again
+BATCH_RECORDS = 1000  # at most
 DRAIN_PERIOD_S = 0.02
 EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
 EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
@@ -94,6 +95,7 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
     due_ns = 0
     ended = False
     while not inbox.ended:
+        before = len(records)
         for packet in inbox.take(BATCH_RECORDS - len(records)):
             if isinstance(packet, End):
                 ended = True
@@ -105,25 +107,29 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
                 if records:
                     with _within_limit():
                         writer.write(records, gaps, snapshot)
-                    records, gaps = [], []
+                    records, gaps, before = [], [], 0
                 snapshot = packet
                 continue
             if not records:
-                due_ns = time.monotonic_ns() + BATCH_NS
+                due_ns = time.monotonic_ns() + FLUSH_NS
             records.append(packet)
-        full = len(records) >= BATCH_RECORDS
-        if records and (full or inbox.ended or time.monotonic_ns() >= due_ns):
+        at_once = len(records) >= BATCH_RECORDS or _span_ns(records[before:]) >= BURST_NS
+        if records and (at_once or inbox.ended or time.monotonic_ns() >= due_ns):
             with _within_limit():
                 writer.write(records, gaps, snapshot)
             inbox.send(writer.report())
             records, gaps, snapshot = [], [], None
-        if not full and not inbox.ended:
+        if not at_once and not inbox.ended:
             time.sleep(DRAIN_PERIOD_S)
     with _within_limit():
         if gaps:
             writer.write((), gaps)
         writer.close(ended=ended)
     inbox.send(writer.report())
+
+
+def _span_ns(records: Sequence[Record]) -> int:
+    return records[-1].inputs.now_ns - records[0].inputs.now_ns if records else 0
 
 
 def main(descriptor: int) -> int:

@@ -32,7 +32,7 @@ READY_TIMEOUT_S = 5.0  # a slow one is waited for no longer: it must not keep th
 CLOSE_TIMEOUT_S = 10.0
 BACKLOG_SECONDS = 8.0  # outlasts a stalled disk and the start of a new recorder process
 BACKLOG_BYTES = 16_000_000
-BACKLOG_SENDS = 16  # of waiting packets per cycle: catching up must not make the loop late
+BACKLOG_SENDS = 4  # of waiting packets per cycle: catching up must not make the loop late, nor all be lost at once
 FIRST_BACKOFF_S = 1.0
 LONGEST_BACKOFF_S = 30.0
 ENDS: dict[int | None, str] = {
@@ -121,7 +121,7 @@ class Recorder:
         if self._gap is not None:
             return
         packet = encode(snapshot)
-        if self._backlog or not self._send(None, packet):
+        if self._backlog or not self._ready() or not self._send(None, packet):
             self._append(_Waiting(None, packet))
 
     def _put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
@@ -131,9 +131,9 @@ class Recorder:
             self._lose(inputs.cycle, f"not recordable: {error}")
             return
         if self._backlog or self._gap is not None:
-            self._send_backlog(BACKLOG_SENDS)
+            self._catch_up()
             self._keep(inputs.cycle, packet)
-        elif not self._send(inputs.cycle, packet):
+        elif not self._ready() or not self._send(inputs.cycle, packet):
             self._keep(inputs.cycle, packet)
 
     def poll(self) -> None:
@@ -148,7 +148,7 @@ class Recorder:
         elif time.monotonic() >= self._retry_at:
             self._starting = True
             self._orders.put(self._hello)
-        self._send_backlog(BACKLOG_SENDS)
+        self._catch_up()
 
     def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
         """Flush, write the footer, end the process; False if something is not on the disk by then."""
@@ -196,7 +196,7 @@ class Recorder:
             return
         if self.session is None:
             self.session = Path(report.folder).absolute()
-            self._hello = self._hello._replace(folder=str(self.session))
+        self._hello = self._hello._replace(folder=str(self.session), chain=report.chain)
         if report.error != self.error:
             if report.error is not None:
                 logger.warning("recording: %s", report.error)
@@ -261,6 +261,14 @@ class Recorder:
     def _append(self, waiting: _Waiting) -> None:
         self._backlog.append(waiting)
         self._backlog_bytes += len(waiting.packet)
+
+    def _ready(self) -> bool:
+        """Whether the process has said that it records: until then nothing is handed over, which dies with it."""
+        return self._child is not None and self._child.report is not None
+
+    def _catch_up(self) -> None:
+        if self._ready():
+            self._send_backlog(BACKLOG_SENDS)
 
     def _send_backlog(self, limit: int) -> None:
         if not self._backlog:

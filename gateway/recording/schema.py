@@ -2,13 +2,14 @@
 
 How this works
 --------------
-The unit is the cycle, and what Rerun stores is a batch of them, at most a second: one row of `/cycles`, whose only
+The unit is the cycle, and what Rerun stores is a batch of them, some 0.4 s: one row of `/cycles`, whose only
 cell is a block (`gateway.recording.block`). In a block each table below has its rows column by column. `cycles` has
 one row per cycle, which says how many rows that cycle has in every other table. A row of Rerun's own for each cycle
 and table costs 20 to 40 bytes before anything is said in it, and its reader some 5 us (measured with 0.41).
 
 What is under `/trace` is for people and is not read back: plots at a viewing rate, the robot from above, CAN in words.
-Version 1, which had a row of Rerun's for each frame, is still read (`replay.sessions.version_1`).
+Version 1, which had a row of Rerun's for each frame, and version 2, which had no digest chain
+(`gateway.recording.chain`), are still read (`replay.sessions.version_1`, `version_2`).
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,7 +43,7 @@ from gateway.types import (
     TwistFrame,
 )
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 APPLICATION_ID = "drivegate"
 
 CYCLE = "cycle"  # sequence; the first of the two by name, and Rerun sorts the rows of a chunk by that one
@@ -114,10 +115,14 @@ class Header(msgspec.Struct, frozen=True):
     first_cycle: int = 0  # of a piece of a session; what was in front of it is elsewhere
     cut_from: str | None = None  # the session of which it is a piece
     imported: str | None = None  # of which log these are the frames; None: a drive of drivegate's own
+    chain: str | None = None  # value of the digest chain in front of this segment, hex; None: nothing is in front of it
 
 
 HEADER_PATH = "/header"
 HEADER_ARCHETYPE = "SessionHeader"
+# Of a batch or a snapshot: values of the digest chain in front of it and with it. The seal has the last one.
+LINK_COLUMNS = {"before": Kind.BINARY, "chain": Kind.BINARY}
+
 HEADER_COLUMNS = {"schema_version": Kind.INT, "json": Kind.TEXT}  # the version is readable in every version
 
 # The last row of a segment. `bytes` and `crc32` (zlib) are of the file in front of it. `first_segment` as in the
@@ -130,6 +135,7 @@ SEAL_COLUMNS = {
     "first_segment": Kind.INT,
     "final": Kind.BOOL,
     "last_cycle": Kind.MAYBE_INT,
+    "chain": Kind.BINARY,
 }
 
 FOOTER_MARK = b"RRF2FOOT"  # of Rerun's files
@@ -300,12 +306,12 @@ CYCLES = Table(
 # The row of a batch, at the times of its first cycle.
 BLOCK_PATH = "/cycles"
 BLOCK_ARCHETYPE = "Cycles"
-BLOCK_COLUMNS = {"count": Kind.INT, "block": Kind.BINARY}
+BLOCK_COLUMNS = {"count": Kind.INT, "block": Kind.BINARY, **LINK_COLUMNS}
 
 # The state of the core after a cycle (`gateway.core.snapshot`, msgpack), from which a replay can begin. crc32: zlib.
 SNAPSHOT_PATH = "/snapshot"
 SNAPSHOT_ARCHETYPE = "Snapshot"
-SNAPSHOT_COLUMNS = {"after": Kind.INT, "state": Kind.BINARY, "crc32": Kind.INT}
+SNAPSHOT_COLUMNS = {"after": Kind.INT, "state": Kind.BINARY, "crc32": Kind.INT, **LINK_COLUMNS}
 
 # For people: as rows of their own, which the viewer shows in words.
 STATUS_PATH = "/outputs/status"

@@ -4,9 +4,10 @@ Rerun's messages carry no checksum, and two of three flipped bits in them read b
 0.41). So the last message is a seal: length and CRC of everything in front of it, read back from what was written.
 """
 
-import os
+import logging
 import zlib
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from gateway.recording.block import packed
+from gateway.recording.chain import beginning, link
 from gateway.recording.columns import Times, arrays
 from gateway.recording.disk import FILE_MODE
 from gateway.recording.packets import Gap, Record, Snapshot
@@ -46,7 +48,10 @@ from gateway.recording.schema import (
 )
 from gateway.recording.views import Views
 
+logger = logging.getLogger(__name__)
+
 FLUSH_TIMEOUT_S = 3.0
+DRAW_NS = 900_000_000  # of cycles are drawn at once, at least: each entity costs a kilobyte every time
 FOOTER_BYTES = 135_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
 FOOTER_BYTES_PER_BATCH = 1000
 _PIECE = 1 << 20  # read at a time
@@ -80,32 +85,64 @@ class Segment:
         path.chmod(FILE_MODE)
         self._file = path.open("rb", buffering=0)
         self._bytes = self._crc32 = 0  # of what has been written
+        self._sha256 = sha256()
+        self._tail = b""
         self.batches = 0  # written so far
-        self._send_header(header)
+        text = msgspec.json.encode(header).decode()
+        self.chain = beginning(text)  # so far
+        self._undrawn: list[Record] = []
+        self._undrawn_gaps: list[Gap] = []
+        self._send_header(header, text)
         views.begin(self._recording)
         self.flush()
 
     def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         """Write a batch, whole or, when a value does not fit its column, not at all (OverflowError, ...)."""
         if records:
-            self._write_records(records, gaps)
+            self._write_records(records)
         if gaps:
             self._send_gaps(gaps)
         self.batches += 1
+        self._draw_later(records, gaps)
 
-    def _write_records(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
-        times = Times(records)
-        columns = arrays(BLOCK_COLUMNS, [(len(records), packed(records))])
-        self._views.send(self._recording, records, gaps, times)
-        self._send_status(records, times)
+    def _write_records(self, records: Sequence[Record]) -> None:
+        stored = packed(records)
+        chain = link(self.chain, records[0].inputs.cycle, len(records), stored)
+        columns = arrays(BLOCK_COLUMNS, [(len(records), stored, self.chain, chain)])
         block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
-        self._recording.send_columns(BLOCK_PATH, times.at(np.zeros(1, np.int64)), block)
+        self._recording.send_columns(BLOCK_PATH, Times(records[:1]).at(np.zeros(1, np.int64)), block)
+        self.chain = chain
+
+    def _draw_later(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
+        """Pictures follow from what is written, and may be lost with the process: they come a second at a time."""
+        if gaps:  # they are drawn in front of the first cycle behind them
+            self._draw()
+        self._undrawn += records
+        self._undrawn_gaps += gaps
+        if self._undrawn and self._undrawn[-1].inputs.now_ns - self._undrawn[0].inputs.now_ns >= DRAW_NS:
+            self._draw()
+
+    def _draw(self) -> None:
+        if not self._undrawn:
+            return
+        records, gaps = self._undrawn, self._undrawn_gaps
+        self._undrawn, self._undrawn_gaps = [], []
+        times = Times(records)
+        try:
+            self._views.send(self._recording, records, gaps, times)
+            self._send_status(records, times)
+        except (OverflowError, TypeError, ValueError) as error:
+            first, last = records[0].inputs.cycle, records[-1].inputs.cycle
+            logger.warning("cycles %d to %d are recorded, but not drawn: %s", first, last, error)
 
     def keep(self, snapshot: Snapshot) -> None:
         """Write the state of the core from which the next batch goes on."""
-        columns = arrays(SNAPSHOT_COLUMNS, [(snapshot.cycle, snapshot.state, zlib.crc32(snapshot.state))])
+        cycle, stored = snapshot.cycle, snapshot.state
+        chain = link(self.chain, cycle, 0, stored)
+        columns = arrays(SNAPSHOT_COLUMNS, [(cycle, stored, zlib.crc32(stored), self.chain, chain)])
         state = rr.DynamicArchetype.columns(archetype=SNAPSHOT_ARCHETYPE, components=columns)
-        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[snapshot.cycle])], state)
+        self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[cycle])], state)
+        self.chain = chain
 
     def _send_status(self, records: Sequence[Record], times: Times) -> None:
         said = [(place, record.outputs.status) for place, record in enumerate(records)]
@@ -121,9 +158,14 @@ class Segment:
             self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except RuntimeError as error:
             raise WriterDeadError(str(error)) from None
+        self._read_back()
+
+    def _read_back(self) -> None:
         while piece := self._file.read(_PIECE):
             self._bytes += len(piece)
             self._crc32 = zlib.crc32(piece, self._crc32)
+            self._sha256.update(piece)
+            self._tail = (self._tail + piece)[-FOOTER_TAIL.size :]
 
     def size(self) -> int | None:
         """Bytes it would have if it were closed now; None if somebody has taken the file away."""
@@ -131,29 +173,28 @@ class Segment:
             return None
         return self._bytes + FOOTER_BYTES + FOOTER_BYTES_PER_BATCH * self.batches
 
-    def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> None:
-        """Write seal and footer. Raises WriterDeadError."""
+    def close(self, *, first_segment: int, final: bool, last_cycle: int | None) -> str:
+        """Write what is not drawn yet, seal and footer; SHA-256 of the whole file, hex. Raises WriterDeadError."""
+        self._draw()
         self.flush()
-        columns = arrays(SEAL_COLUMNS, [(self._bytes, self._crc32, first_segment, final, last_cycle)])
+        seal = (self._bytes, self._crc32, first_segment, final, last_cycle, self.chain)
+        columns = arrays(SEAL_COLUMNS, [seal])
         self._recording.log(SEAL_PATH, rr.DynamicArchetype(SEAL_ARCHETYPE, components=columns), static=True)
         self.flush()
         self._recording.disconnect()
         with self._file:
-            if not self._has_footer():
-                raise WriterDeadError("the footer is not in the file")  # Rerun only logs it
+            self._read_back()
+        if FOOTER_MARK not in self._tail:
+            raise WriterDeadError("the footer is not in the file")  # Rerun only logs it
+        return self._sha256.hexdigest()
 
-    def _has_footer(self) -> bool:
-        self._file.seek(-FOOTER_TAIL.size, os.SEEK_END)
-        return FOOTER_MARK in self._file.read()
-
-    def _send_header(self, header: Header) -> None:
-        row = (header.schema_version, msgspec.json.encode(header).decode())
+    def _send_header(self, header: Header, text: str) -> None:
         self._recording.send_recording_name(header.session)
         self._recording.send_recording_start_time_nanos(header.started_wall_ns)
-        columns = arrays(HEADER_COLUMNS, [row])
+        columns = arrays(HEADER_COLUMNS, [(header.schema_version, text)])
         self._recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
-        text = f"```toml\n{header.config_text}\n```"
-        self._recording.log("/config", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        shown = f"```toml\n{header.config_text}\n```"
+        self._recording.log("/config", rr.TextDocument(shown, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _send_gaps(self, gaps: Sequence[Gap]) -> None:
         rows = [(gap.first_cycle, gap.last_cycle, gap.reason) for gap in gaps]

@@ -25,6 +25,7 @@ from gateway.recording.disk import (
     Disposable,
     Hold,
     Syncer,
+    add_sum,
     delete,
     disposable,
     free_bytes,
@@ -90,6 +91,7 @@ class SessionWriter:
         self._settled_cycle: int | None = None
         self._error: str | None = None
         self._closed = False
+        self._chain = hello.chain
 
     def report(self) -> RecorderReport:
         """How the session stands."""
@@ -101,6 +103,7 @@ class SessionWriter:
             lost=self._lost,
             error=self._error or self._syncer.error,
             closed=self._closed,
+            chain=self._chain,
         )
 
     def open(self) -> None:
@@ -128,6 +131,8 @@ class SessionWriter:
                 self._snapshot_ns = time.monotonic_ns()
             self._write(self._segment, records)
             self._segment.flush()
+            self._syncer.written()
+            self._chain = self._segment.chain.hex()
             self._largest_batch = max(self._largest_batch, (self._segment.size() or 0) - before)
         self._records += len(records)
         self._settled_cycle = records[-1].inputs.cycle if records else self._settled_cycle
@@ -168,13 +173,16 @@ class SessionWriter:
             self._keep_budget()
             number = max(next_segment(self.folder), self._number + 1)
             path = segment_path(self.folder, number)
-            numbered = msgspec.structs.replace(self._header, segment=number, first_segment=self._first_segment)
+            numbered = msgspec.structs.replace(
+                self._header, segment=number, first_segment=self._first_segment, chain=self._chain
+            )
             self._segment = Segment(path, header=numbered, views=self._views, blueprint=self._blueprint)
         except OSError as error:
             self._fail(f"cannot open a segment in {self.folder}: {error}")
             return
         self._number = number
         self._opened_ns = time.monotonic_ns()
+        self._chain = self._segment.chain.hex()
         self._syncer.watch(path)
         self._error = None
 
@@ -238,10 +246,11 @@ class SessionWriter:
         if self._segment is None:
             return
         last = self._settled_cycle if final else None
-        self._segment.close(first_segment=self._first_segment, final=final, last_cycle=last)
+        digest = self._segment.close(first_segment=self._first_segment, final=final, last_cycle=last)
         self._syncer.watch(None)
         try:
             sync(self._segment.path)
+            add_sum(self._segment.path, digest)
         except OSError as error:
             self._fail(f"{self._segment.path}: {error.strerror}")
         self._segment = None

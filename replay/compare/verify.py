@@ -54,7 +54,8 @@ class Verdict(NamedTuple):
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
     otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
     those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
-    `software_change`: only where something differs, what of the software is not what it was.
+    `software_change`: only where something differs, what of the software is not what it was. `first_unproven`: the
+    first cycle that is missing or not provably as it was recorded.
     """
 
     identical: bool
@@ -68,6 +69,7 @@ class Verdict(NamedTuple):
     refused: str | None
     exit_code: int
     software_change: str | None = None
+    first_unproven: int | None = None
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
@@ -160,6 +162,7 @@ def _verdict(
         refused=refused,
         exit_code=exit_code,
         software_change=None if difference is None else change(session.header),
+        first_unproven=session.first_unproven,
     )
 
 

@@ -27,15 +27,25 @@ from gateway.recording.schema import (
     FRAMES_OUT,
     INPUTS,
     OUTPUTS,
+    SEAL_COLUMNS,
+    SEAL_PATH,
+    SNAPSHOT_COLUMNS,
+    SNAPSHOT_PATH,
     Kind,
     Table,
 )
 from gateway.types import CycleTiming, Event, Inputs, Mode, Odometry, Outputs, Reply
 from replay.sessions.tables import Layout, Tables
 
-WINDOW = 256  # cycles turned into Python values at a time; more is slower, for the sake of the garbage collector
+WINDOW = (
+    512  # cycles turned into Python values at a time: a batch at 1 kHz whole; many more are slower, by the collector
+)
 SPOILT = "not as it was written"
-LAYOUT: Layout = {BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS}}
+LAYOUT: Layout = {
+    BLOCK_PATH: {CYCLE: None, **BLOCK_COLUMNS},
+    SEAL_PATH: SEAL_COLUMNS,
+    SNAPSHOT_PATH: SNAPSHOT_COLUMNS,
+}
 
 Integers = npt.NDArray[np.int64]
 _MODES = {mode.value: mode for mode in Mode}
@@ -170,6 +180,16 @@ def blocks_of(tables: Tables) -> list[Packed]:
         return []
     rows = (columns[CYCLE], columns["count"].flatten(), columns["block"].flatten())
     return [Packed(*row) for row in zip(*(row.to_pylist() for row in rows), strict=True)]
+
+
+def first_spoilt(packed: Packed) -> int:
+    """The first cycle of a block whose values do not fit its check; the first of all if there is none, or no block."""
+    try:
+        block = unpacked(packed.block)
+    except DAMAGED:
+        return packed.first_cycle
+    spoilt = np.flatnonzero(~block.whole)
+    return int(block.cycles.numbers("cycle")[spoilt[0]]) if spoilt.size else packed.first_cycle
 
 
 def rows_of(tables: Tables) -> CycleRows:

@@ -5,7 +5,8 @@ How this works
 A session is read segment by segment, of each segment what is whole. Nothing that is missing or damaged ends the
 reading: it is said in `problems`, and cycles that are not there show up in `gaps`. A session is complete when all of
 it is provably there: from its first cycle without a gap, every segment in its place, closed, and equal to its seal, the
-last one sealed as final. Recordings from before there were seals are taken at the word of their last footer.
+last one sealed as final, and every cycle in the digest chain that begins with the header. Recordings from before there
+were seals are taken at the word of their last footer.
 """
 
 import hashlib
@@ -19,7 +20,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from gateway.recording.disk import segment_number, segments
+from gateway.recording.disk import SUMS, noted_sums, segment_number, segments
 from gateway.recording.packets import Gap, encode
 from gateway.recording.schema import (
     GAP_COLUMNS,
@@ -27,16 +28,15 @@ from gateway.recording.schema import (
     HEADER_COLUMNS,
     HEADER_PATH,
     SCHEMA_VERSION,
-    SEAL_COLUMNS,
     SEAL_PATH,
-    SNAPSHOT_COLUMNS,
     SNAPSHOT_PATH,
     Header,
 )
 from gateway.types import CycleTiming
-from replay.sessions import cycles, version_1
+from replay.sessions import cycles, version_1, version_2
+from replay.sessions.chain import EXCHANGED, Break, Chained, goes_on, judged
 from replay.sessions.cycles import Cycle, Integers, Packed, RecordedOutputs, Seen, Sketch, Window, made, sketched
-from replay.sessions.framing import Found, checksum, read
+from replay.sessions.framing import Found, checksum, digest, read
 from replay.sessions.tables import Columns, Layout, Tables, tables_of
 
 __all__ = ["RecordedOutputs", "Session", "SessionError", "Stretch", "open_session"]
@@ -44,8 +44,6 @@ __all__ = ["RecordedOutputs", "Session", "SessionError", "Stretch", "open_sessio
 _MARKS: Layout = {
     GAP_PATH: GAP_COLUMNS,
     HEADER_PATH: HEADER_COLUMNS,
-    SEAL_PATH: SEAL_COLUMNS,
-    SNAPSHOT_PATH: SNAPSHOT_COLUMNS,
 }  # in every version
 PROBLEMS_SHOWN = 3
 UNMARKED = "not in the recording"
@@ -64,11 +62,13 @@ class _Version(NamedTuple):
     rows: Callable[[Tables], Rows]
     count: Callable[[Tables], int]
     blocks: Callable[[Tables], Sequence[Packed]] | None  # None: there are none
+    chained: bool
 
 
 _VERSIONS = {
-    1: _Version(version_1.LAYOUT, version_1.CycleRows, version_1.count, None),
-    SCHEMA_VERSION: _Version(cycles.LAYOUT, cycles.rows_of, cycles.count, cycles.blocks_of),
+    1: _Version({**version_1.LAYOUT, **version_2.MARKS}, version_1.CycleRows, version_1.count, None, chained=False),
+    2: _Version(version_2.LAYOUT, cycles.rows_of, cycles.count, cycles.blocks_of, chained=False),
+    SCHEMA_VERSION: _Version(cycles.LAYOUT, cycles.rows_of, cycles.count, cycles.blocks_of, chained=True),
 }
 
 
@@ -77,7 +77,7 @@ class SessionError(Exception):
 
 
 class _Seal(NamedTuple):
-    """The columns of `SEAL_COLUMNS`."""
+    """The columns of `SEAL_COLUMNS`, but for the chain."""
 
     bytes: int
     crc32: int
@@ -94,6 +94,7 @@ class _Part(NamedTuple):
     problems: list[str]
     first_segment: int = 1
     seal: _Seal | None = None
+    chained: Chained | None = None
 
     def read(self, seen: Seen) -> "_Part":
         """The same once more of its cycles were read."""
@@ -153,13 +154,24 @@ class Session:
     def problems(self) -> tuple[str, ...]:
         """What is missing or damaged, in words; reads what has not been iterated yet."""
         parts = self._all_parts()
-        found = [f"{path.name}: {problem}" for path in self.segments for problem in parts[path].problems]
+        found = [f"{path.name}: {one.words}" for path, one in self._breaks()]
+        found += [f"{path.name}: {problem}" for path in self.segments for problem in parts[path].problems]
         found += self._missing_segments()
         found += map(_gap_in_words, self.gaps)
         last = parts[self.segments[-1]].seal
         if self.header.sealed and (last is None or not last.final):
             found.append("the session was not ended in order: its last cycles may be missing")
         return tuple(found)
+
+    @property
+    def first_unproven(self) -> int | None:
+        """The first cycle that is missing or not provably as it was recorded; None if all of them are."""
+        cycles = [one.cycle for _, one in self._breaks()] + [gap.first_cycle for gap in self.gaps]
+        parts = self._all_parts()
+        last = parts[self.segments[-1]].seal
+        if self.header.sealed and (last is None or not last.final):
+            cycles.append(1 + max((int(part.cycles[-1]) for part in parts.values() if part.cycles.size), default=-1))
+        return min(cycles, default=None)
 
     @property
     def problem(self) -> str | None:
@@ -280,6 +292,19 @@ class Session:
             if number > before + 1
         ]
 
+    def _breaks(self) -> Iterator[tuple[Path, Break]]:
+        """Where the digest chain breaks: the first place in each segment, and in front of it."""
+        parts, numbers = self._all_parts(), self._numbers()
+        known: frozenset[bytes | None] | None = frozenset([None])
+        for path, number, expected in zip(self.segments, numbers, [1, *(one + 1 for one in numbers)], strict=False):
+            chained = parts[path].chained
+            known = known if number == expected else None
+            if chained is not None and known is not None and chained.before not in known:
+                yield path, Break(chained.cycle, f"in front of cycle {chained.cycle} {EXCHANGED}")
+            elif chained is not None and chained.broken is not None:
+                yield path, chained.broken
+            known = goes_on(chained, known)
+
     def _load(self, path: Path) -> Rows:
         """Read a segment; what cannot be read of it is a problem of the session."""
         tables, part = self._opened(path)
@@ -317,13 +342,16 @@ class Session:
         elif header.segment != (segment_number(path) or header.segment):
             problems.append(f"it is segment {header.segment} by its header")
         if self.header.sealed and not problems:
-            problems += _seal_problems(path, seal, found)
+            problems += _seal_problems(path, seal, found) or _sum_problems(path)
         snapshots, whole = _snapshots(tables.get(SNAPSHOT_PATH))
         self._snapshots |= snapshots
         if not whole:
             problems.append("a snapshot of the core is not as it was written")
         first = max(header.first_segment if header else 1, seal.first_segment if seal else 1)
-        return tables, _Part(_NO_CYCLES, _markers(tables.get(GAP_PATH)), problems, first, seal)
+        chained = None
+        if header is not None and self._version.chained:
+            chained = judged(tables, _header_text(tables), header.chain, intact=intact and found.intact)
+        return tables, _Part(_NO_CYCLES, _markers(tables.get(GAP_PATH)), problems, first, seal, chained)
 
 
 def open_session(path: Path) -> Session:
@@ -389,12 +417,16 @@ def _header(path: Path) -> Header | None:
     return _header_in(path, _read(path, {HEADER_PATH: HEADER_COLUMNS}, first_only=True))
 
 
+def _header_text(tables: Tables) -> str:
+    return str(tables[HEADER_PATH]["json"].flatten()[0].as_py())
+
+
 def _header_in(path: Path, tables: Tables) -> Header | None:
     columns = tables.get(HEADER_PATH)
     if columns is None:
         return None
     try:
-        version, text = (columns[name].flatten()[0].as_py() for name in ("schema_version", "json"))
+        version, text = columns["schema_version"].flatten()[0].as_py(), _header_text(tables)
         if version not in _VERSIONS:
             known = " and ".join(map(str, _VERSIONS))
             raise SessionError(f"{path}: has session schema {version}; this version of DriveGate reads {known}")
@@ -410,7 +442,7 @@ def _seal_in(tables: Tables) -> _Seal | None:
     columns = tables.get(SEAL_PATH)
     if columns is None:
         return None
-    *numbers, last_cycle = (columns[name][-1].as_py() for name in SEAL_COLUMNS)
+    *numbers, last_cycle = (columns[name][-1].as_py() for name in _Seal._fields)
     length, crc32, first_segment, final = (cell[0] for cell in numbers)
     return _Seal(length, crc32, first_segment, final, last_cycle[0] if last_cycle else None)
 
@@ -422,6 +454,19 @@ def _seal_problems(path: Path, seal: _Seal | None, found: Found) -> list[str]:
     if found.places[SEAL_PATH] != seal.bytes or checksum(path, seal.bytes) != seal.crc32:
         return ["it is not as it was written: it does not fit its seal"]
     return []
+
+
+def _sum_problems(path: Path) -> list[str]:
+    """Whether a closed segment is, to the last byte, what was noted; where nothing was noted its seal must do."""
+    try:
+        noted = noted_sums(path.parent)
+    except OSError as error:
+        return [f"{SUMS} cannot be read: {error.strerror}"]
+    if noted is None:
+        return []
+    if path.name not in noted:
+        return [f"it is not in {SUMS}"]
+    return [] if digest(path) == noted[path.name] else [f"it is not as it was written: it does not fit {SUMS}"]
 
 
 def _count(path: Path, version: _Version) -> int:
@@ -454,7 +499,7 @@ def _snapshots(columns: Columns | None) -> tuple[dict[int, bytes], bool]:
     """Those that are as they were written, and whether all are."""
     if columns is None:
         return {}, True
-    rows = list(zip(*(columns[name].flatten().to_pylist() for name in SNAPSHOT_COLUMNS), strict=True))
+    rows = list(zip(*(columns[name].flatten().to_pylist() for name in ("after", "state", "crc32")), strict=True))
     whole = {after: state for after, state, crc32 in rows if zlib.crc32(state) == crc32}
     return whole, len(whole) == len(rows)
 

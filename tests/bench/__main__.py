@@ -1,7 +1,8 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, pull, slip, launch, verify, sessions, live, recorder, plant, laws). Peers are measured
-side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one.
+NAME: only these parts (cycle, pull, slip, launch, verify, sessions, live, recorder, damage, plant, laws). Peers are
+measured side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a
+quiet one.
 Aims with two numbers are for the compiled core and for pure Python: the first line says which it is. Aims that are
 times are for the machine of the issue that named them: a yardstick, measured with every part, tells how many times
 slower this one is (`yardstick.py`), and beside such a figure stands what it would be there, which is what is judged.
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 from gateway.build import COMPILED, FORM
 from replay.inject.laws import ALL_LAWS
-from tests.bench import cycle, launch, laws, live, plant, pull_law, recorder, sessions, slip, verify, yardstick
+from tests.bench import cycle, damage, launch, laws, live, plant, pull_law, recorder, sessions, slip, verify, yardstick
 from tests.world import NAMES
 
 PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
@@ -32,6 +33,7 @@ PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
     "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
     "live": ("the service at 1 kHz, the simulated robot in a process of its own, us", live.measure),
     "recorder": ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
+    "damage": ("recordings after kills, cuts and flipped bits: seconds lost, and what must not be", damage.measure),
     "plant": ("plant step: one substep of 1 ms of the simulated world, us", plant.measure),
     "laws": ("laws of motion over random drives (`python -m tests.bench.laws` drives more)", laws.measure),
 }
@@ -93,6 +95,12 @@ AIMS: Mapping[str, Aim] = {
     "put_to_thread_p50_us": Aim("bare_zenoh_thread_p50_us"),
     "put_to_thread_p99_us": Aim("bare_zenoh_thread_p99_us"),
     "put_to_can_p50_us": Aim("bare_zenoh_and_half_period_us"),
+    **{
+        f"{way}_loss_max_s": Aim(most=0.5)
+        for way in ("recorder_killed", "service_killed", "both_killed", "cut", "flip")
+    },
+    "flips_unnoticed": Aim(most=0.0),
+    "flips_altered": Aim(most=0.0),
     **{f"violations_{law.replace(' ', '_')}": Aim(most=0.0) for law in ALL_LAWS},
 }
 

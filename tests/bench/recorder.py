@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gateway.recording.packets import Record
+from gateway.recording.process import FLUSH_NS
 from gateway.recording.recorder import Recorder
 from replay.sessions.reader import open_session
 from tests.drives import drive
@@ -28,7 +29,9 @@ def measure() -> dict[str, float]:
         for received, sent in ((4, 1), (8, 4)):
             records = list(drive(4 * CYCLES, rate=rate, received=received, sent=sent))
             name = f"{rate:.0f}hz_rx{received}_tx{sent}"
-            figures |= {f"{key}_{name}": value for key, value in _disk(records, batch=round(rate)).items()}
+            figures |= {
+                f"{key}_{name}": value for key, value in _disk(records, batch=round(rate * FLUSH_NS * 1e-9)).items()
+            }
     return figures
 
 
@@ -49,7 +52,7 @@ def _put(records: Sequence[Record]) -> dict[str, float]:
 
 
 def _disk(records: Sequence[Record], *, batch: int) -> dict[str, float]:
-    """One batch per second, as the recorder process writes them."""
+    """Batches as the recorder process writes them."""
     with tempfile.TemporaryDirectory() as folder:
         session = writer(Path(folder))
         started = time.process_time()

@@ -19,7 +19,8 @@ from mcap.writer import CompressionType, Writer
 
 from drivers.contract import CanFrame
 from gateway.core.engine import Engine
-from gateway.recording.packets import Record, Snapshot
+from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Record, Snapshot
+from gateway.recording.process import FLUSH_NS
 from gateway.types import CycleTiming, Inputs, Outputs, Twist
 from replay.sessions.reader import open_session
 from tests.recordings import STARTED_NS, world_writer
@@ -30,7 +31,7 @@ COURSE = (Twist(0.5, 0.0, 0.0), Twist(0.0, 0.4, 0.0), Twist(0.0, 0.0, 0.8), Twis
 LEG_S = 4.0
 REPEATS = 7
 LOG_REPEATS = 2  # their readers take their time
-SNAPSHOT_SECONDS = 5
+SNAPSHOT_BATCHES = round(SNAPSHOT_PERIOD_NS / FLUSH_NS)
 MICRO = 1e6
 _FRAME = Struct("<IB3x8s")  # id with its flags, length, data
 
@@ -51,8 +52,8 @@ def measure() -> dict[str, float]:
 
 
 def recorded(world: World, folder: Path) -> Path:
-    """The session of a drive as the service records it: a block every second, a snapshot every five."""
-    records, batch = _records(world), round(1e9 / world.period_ns)
+    """The session of a drive as the service records it: a block every 0.4 s, a snapshot every 5 s or so."""
+    records, batch = _records(world), round(FLUSH_NS / world.period_ns)
     session = world_writer(folder, world)
     engine, snapshot = Engine(world.config), None
     for number, start in enumerate(range(0, len(records), batch), start=1):
@@ -60,7 +61,7 @@ def recorded(world: World, folder: Path) -> Path:
         session.write(some, (), snapshot)
         for record in some:
             engine.step(record.inputs)
-        snapshot = None if number % SNAPSHOT_SECONDS else Snapshot.of(some[-1].inputs.cycle, engine.snapshot())
+        snapshot = None if number % SNAPSHOT_BATCHES else Snapshot.of(some[-1].inputs.cycle, engine.snapshot())
     session.close()
     return session.folder
 

@@ -9,12 +9,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
 from drivers.contract import CanFrame
 from gateway.recording import child as recorder_child
+from gateway.recording import process as recorder_process
 from gateway.recording import recorder as recorder_module
 from gateway.recording.disk import new_session, next_segment, segments
 from gateway.recording.packets import Record
@@ -142,6 +145,10 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     assert [(gap.first_cycle, gap.last_cycle) for gap in session.gaps] == [(100, 149)]
     assert "exit code -9" in session.gaps[0].reason
     assert list(session.cycles()) == expected(records[:100] + records[150:])
+    assert session.first_unproven == 100
+    assert not [problem for problem in session.problems if "chain" in problem]
+    assert session.segments[1].name == "segment-00002.rrd"
+    assert open_session(session.segments[1]).header.chain is not None
     assert recorder.dropped == 50
 
 
@@ -230,13 +237,13 @@ def test_a_write_error_of_the_system_costs_a_gap_not_the_recording(recorder: Rec
     assert list(session.cycles()) == expected(records[: gap.first_cycle] + records[350:])
 
 
-STUCK_AT_THE_SECOND_BATCH = """
+STUCK_FROM_CYCLE_100 = """
 import sys
 from gateway.recording import process as recorder_process
 from gateway.recording.segment import Segment
 
 def write(segment, records, gaps, plain=Segment.write):
-    if segment.batches:  # a call that never returns and never lets go of the interpreter
+    if records and records[0].inputs.cycle >= 100:  # a call that never returns and never lets go of the interpreter
         sys.setswitchinterval(1e9)
         while True:
             pass
@@ -250,7 +257,7 @@ recorder_process.main(int(sys.argv[1]))
 
 def test_a_process_stuck_in_writing_is_replaced(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     healthy = pid(recorder)
-    monkeypatch.setattr(recorder_child, "PROGRAM", ("-c", STUCK_AT_THE_SECOND_BATCH))
+    monkeypatch.setattr(recorder_child, "PROGRAM", ("-c", STUCK_FROM_CYCLE_100))
     os.kill(healthy, signal.SIGKILL)
     until(recorder, lambda: recorder._child is not None and pid(recorder) != healthy)
     stuck = pid(recorder)
@@ -302,6 +309,80 @@ def test_a_full_disk_pauses_the_recording(tmp_path: Path) -> None:
     assert (gap.first_cycle, gap.last_cycle) == (100, 199)
     assert gap.reason.startswith("disk full")
     assert list(read.cycles()) == expected(records[:100] + records[200:])
+
+
+def test_every_batch_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the kernel alone has is lost with the power: what was asked to be on the disk holds the whole batch."""
+    synced: SimpleQueue[tuple[Path, bytes]] = SimpleQueue()
+
+    def sync(path: Path) -> None:
+        synced.put((path, path.read_bytes() if path.is_file() else b""))
+
+    records = list(drive(60))
+    session = writer(tmp_path)
+    monkeypatch.setattr("gateway.recording.disk.sync", sync)
+    for end in (20, 40, 60):
+        session.write(records[end - 20 : end])
+        path, content = synced.get(timeout=PATIENCE_S)
+        if end == 20:  # the file itself must be found, too
+            assert synced.get(timeout=PATIENCE_S)[0] == session.folder
+        (tmp_path / path.name).write_bytes(content)
+        assert list(open_session(tmp_path / path.name).cycles()) == expected(records[:end])
+    session.close()
+
+
+def test_a_batch_waits_for_less_than_half_a_second() -> None:
+    assert recorder_process.FLUSH_NS * 1e-9 + recorder_process.DRAIN_PERIOD_S < 0.45
+
+
+class _Inbox:
+    """Gives what it is asked for once, and ends at the second time."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.taken = 0
+        self.ended = False
+        self._records = records
+
+    def take(self, limit: int) -> list[Record]:
+        self.taken += 1
+        self.ended = self.taken > 1
+        assert len(self._records) <= limit
+        return [] if self.ended else list(self._records)
+
+    def send(self, report: object) -> None:
+        """Nobody listens."""
+
+
+class _Writer:
+    """Notes how often the inbox had been asked when something was written."""
+
+    def __init__(self, inbox: _Inbox) -> None:
+        self.written: list[tuple[int, int]] = []
+        self._inbox = inbox
+
+    def write(self, records: Sequence[Record], *_: object) -> None:
+        self.written.append((self._inbox.taken, len(records)))
+
+    def open(self) -> None:
+        """There is nothing to open."""
+
+    def report(self) -> None:
+        """There is nothing to tell."""
+
+    def close(self, *, ended: bool) -> None:
+        """There is nothing to close."""
+
+
+@pytest.mark.parametrize(("cycles", "written"), [(20, [(2, 20)]), (60, [(1, 60)])])
+def test_cycles_that_waited_for_a_recorder_do_not_wait_again(
+    monkeypatch: pytest.MonkeyPatch, cycles: int, written: list[tuple[int, int]]
+) -> None:
+    """A quarter of a second of the drive at once is from a backlog; 80 ms are what comes while a batch is written."""
+    monkeypatch.setattr(recorder_process, "_within_limit", nullcontext)
+    inbox = _Inbox(list(drive(cycles)))
+    found = _Writer(inbox)
+    recorder_process.record(inbox, found)  # type: ignore[arg-type]
+    assert found.written == written
 
 
 def test_rotation_by_age_and_a_folder_taken_away(tmp_path: Path) -> None:

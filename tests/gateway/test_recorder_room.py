@@ -295,6 +295,7 @@ def test_recordings_are_for_the_group_whatever_the_umask(tmp_path: Path, umask: 
         assert modes(folder) == {
             (folder.name, "drwxr-x---"),
             (".sequence", "-rw-r-----"),
+            ("SHA256SUMS", "-rw-r-----"),
             ("segment-00001.rrd", "-rw-r-----"),
         }
     assert list(open_session(here).cycles()) == expected(list(drive(3)))

@@ -3,6 +3,7 @@
 import json
 import random
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from gateway.cli.app import build
-from gateway.recording.disk import segment_path
+from gateway.recording.disk import SUMS, segment_path
 from gateway.recording.packets import Gap, Record
 from gateway.types import ZERO_TWIST, CycleTiming, Outputs, Twist
 from replay.compare.verify import Verdict, not_replayable, verify
@@ -22,7 +23,7 @@ from tests.recordings import world_writer, write, write_drive
 from tests.replay.test_session import message_ends
 from tests.world import World
 
-OLD = Path(__file__).parent.parent / "sessions"  # recorded by version 0.1.0, before segments had seals
+OLD = Path(__file__).parent.parent / "sessions"  # v1: before segments had seals; v2: before cycles had a digest chain
 SEGMENTS = 3
 BATCH = 60
 
@@ -111,13 +112,13 @@ def test_no_cut_of_an_older_recording_is_called_identical(name: str, tmp_path: P
 
 
 def test_no_flipped_bit_is_called_identical(recorded: Path) -> None:
-    """In front of the seal, that is: what Rerun puts around its numbers, and the footer behind it, is not replayed."""
+    """Also in what is not replayed: pictures, what Rerun puts around its numbers, the seal, the footer."""
     generator = random.Random(4)
     for file in sorted(recorded.glob("segment-*.rrd")):
         content = file.read_bytes()
         for _ in range(15):
             spoilt = bytearray(content)
-            spoilt[generator.randrange(12, message_ends(content)[-2])] ^= 1 << generator.randrange(8)
+            spoilt[generator.randrange(len(content))] ^= 1 << generator.randrange(8)
             verdict = with_spoilt(file, bytes(spoilt))
             assert verdict.exit_code in {1, 2, 3}
             assert not verdict.complete
@@ -254,6 +255,15 @@ def test_older_recordings_are_read_whole(name: str) -> None:
     assert "arithmetic the machine's libraries, now own" in str(verdict.software_change)
 
 
+def test_a_recording_of_schema_2_is_read_whole() -> None:
+    session = open_session(OLD / "v2-moby")
+    assert session.header.schema_version == 2
+    assert [inputs.cycle for inputs, _ in session.cycles()] == list(range(258))
+    verdict = verify(session)
+    assert verdict.complete
+    assert (verdict.exit_code == 0) is verdict.identical
+
+
 @pytest.mark.parametrize(("spoil", "exit_code"), [(lambda _: None, 0), (without(3), 3), (without(1), 2)])
 def test_the_command_says_it_and_exits_with_it(session: Path, spoil: Spoil, exit_code: int) -> None:
     spoil(session)
@@ -273,3 +283,18 @@ def test_the_command_on_what_is_no_session(tmp_path: Path) -> None:
     done = CliRunner().invoke(build("replay"), ["replay", "verify", str(tmp_path), "--json"])
     assert done.exit_code == 2
     assert json.loads(done.stdout)["exit_code"] == 2
+
+
+def test_what_was_noted_of_a_segment_is_what_sha256sum_says(session: Path) -> None:
+    done = subprocess.run(["sha256sum", "--check", "--strict", SUMS], cwd=session, capture_output=True, check=False)
+    assert done.returncode == 0
+    (session / SUMS).unlink()  # a copy of the segments alone: seals and footers are taken at their word
+    assert judged(session).exit_code == 0
+
+
+@pytest.mark.parametrize("spoil", [lambda text: text.replace("segment-00002", "segment-00009"), lambda text: text[1:]])
+def test_a_spoilt_note_is_told(session: Path, spoil: Callable[[str], str]) -> None:
+    (session / SUMS).write_text(spoil((session / SUMS).read_text()))
+    verdict = judged(session)
+    assert verdict.exit_code == 3
+    assert "it is not in SHA256SUMS" in (verdict.problem or "")

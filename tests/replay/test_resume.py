@@ -104,7 +104,7 @@ def test_a_snapshot_that_this_software_refuses_is_said(recorded: Path, monkeypat
 
 def test_a_damaged_snapshot_is_not_used(world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def other(columns: Mapping[str, Kind], rows: Sequence[Row]) -> dict[str, Any]:
-        return arrays(columns, [(*rows[0][:2], 7)] if columns is SNAPSHOT_COLUMNS else rows)
+        return arrays(columns, [(*rows[0][:2], 7, *rows[0][3:])] if columns is SNAPSHOT_COLUMNS else rows)
 
     monkeypatch.setattr(segment, "arrays", other)
     folder = write_drive(tmp_path, world, batch=BATCH, snapshots=True, segment_bytes=60_000)

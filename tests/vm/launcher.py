@@ -114,12 +114,17 @@ def _run(lane: str, pytest_arguments: Sequence[str], run: Path, limit_s: float) 
 
 def _boot(run: Path, *, init: str, limit_s: float) -> None:
     """Run the command of the run directory in the machine. Raises OSError where the host needs what it cannot have."""
-    _write_machine(run)
+    write_machine(run)
     kernel = ["linux.uml", *KERNEL, f"init={run}/init.sh", f"DG_INIT={init}", f"DG_RUN={run}", f"uml_dir={run}/"]
+    _stream(kernel, run, limit_s, pin=True, environment=machine_environment(run))
+
+
+def machine_environment(run: Path) -> dict[str, str]:
+    """What the machine's process needs to know."""
     environment = {"TMPDIR": _memory_directory(run)}
     if _preload_needed():
         environment["LD_PRELOAD"] = str(xstate.build_preload(run))
-    _stream(kernel, run, limit_s, pin=True, environment=environment)
+    return environment
 
 
 @functools.cache
@@ -139,7 +144,7 @@ def _write_command(run: Path, pytest_command: Sequence[str], *, last: str) -> No
     (run / "command").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_machine(run: Path) -> None:
+def write_machine(run: Path) -> None:
     """The init scripts, and the facts about this interpreter they need."""
     for script in HERE.glob("*.sh"):
         shutil.copy(script, run)
