@@ -53,7 +53,8 @@ class Verdict(NamedTuple):
     `identical`: every cycle was recorded, is there, and was equal. `complete`: nothing is missing or damaged;
     otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
     those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
-    `software_change`: only where something differs, what of the software is not what it was.
+    `software_change`: only where something differs, what of the software is not what it was. `seconds`: what the cycles
+    compared cover.
     """
 
     identical: bool
@@ -67,14 +68,17 @@ class Verdict(NamedTuple):
     refused: str | None
     exit_code: int
     software_change: str | None = None
+    seconds: float = 0.0
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
         difference = self.first_difference
-        return self._asdict() | {
+        told = self._asdict() | {
             "realtime_ratio": round(self.realtime_ratio, 2),
             "first_difference": None if difference is None else difference._asdict(),
         }
+        del told["seconds"]
+        return told
 
 
 def not_replayable(problem: str) -> Verdict:
@@ -157,6 +161,7 @@ def _verdict(
         refused=refused,
         exit_code=exit_code,
         software_change=None if difference is None else change(session.header),
+        seconds=compared.covered_ns * 1e-9,
     )
 
 

@@ -7,6 +7,7 @@ on this machine now.
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
 
 from gateway.types import Twist
@@ -60,6 +61,13 @@ def _measured(folder: Path) -> dict[str, float]:
         "verify_gain_two_processes": max(together) / max(alone),
         "counting_gain_two_processes": 2.0 * min(counted) / min(counted_together),
     }
+
+
+def counting_gain(pool: Executor) -> float:
+    """What two processes gain that only count."""
+    one = [_seconds(lambda: list(pool.map(_count, [COUNTS]))) for _ in range(REPEATS)]
+    two = [_seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS]))) for _ in range(REPEATS)]
+    return 2.0 * min(one) / min(two)
 
 
 def _seconds(work: Callable[[], object]) -> float:
