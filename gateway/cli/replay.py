@@ -11,6 +11,7 @@ from rich.table import Table
 
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_verify import verify
+from gateway.cli.replay_whatif import whatif
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
@@ -34,6 +35,7 @@ def _group() -> None:
 
 
 replay.command()(verify)
+replay.command()(whatif)
 
 
 @replay.command()

@@ -32,6 +32,7 @@ WORDS = {
     EXIT_NOT_REPLAYABLE: "not replayable",
     EXIT_INCOMPLETE: "incomplete",
 }
+SHOWN = 60  # characters of a value
 AHEAD = 64  # sessions that are given to processes before their turn
 
 
@@ -58,7 +59,8 @@ class Judged(NamedTuple):
         where = f"{difference.field}{f' of motor {difference.motor}' if difference.motor else ''}"
         causes = () if self.differences is None else [cause.value for cause in self.differences.causes]
         cause = f" ({', '.join(causes)})" if causes else ""
-        return f"cycle {difference.cycle}: {where}: {difference.recorded}, now {difference.replayed}{cause}"
+        recorded, replayed = _short(difference.recorded), _short(difference.replayed)
+        return f"cycle {difference.cycle}: {where}: {recorded}, now {replayed}{cause}"
 
     def as_json(self) -> dict[str, object]:
         """The document of one session, with what it is of and all differences."""
@@ -69,6 +71,11 @@ class Judged(NamedTuple):
             **self.verdict.as_json(),
             "differences": None if self.differences is None else self.differences.as_json(),
         }
+
+
+def _short(text: str) -> str:
+    """A value that has its place in a line."""
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
 def judged(path: Path) -> Judged:

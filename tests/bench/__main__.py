@@ -1,7 +1,8 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, pull, slip, launch, verify, fleet, sessions, live, recorder, plant, laws). Peers are measured
-side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a quiet one.
+NAME: only these parts (cycle, pull, slip, launch, verify, fleet, sessions, live, recorder, plant, laws). Peers are
+measured side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a
+quiet one.
 Aims with two numbers are for the compiled core and for pure Python: the first line says which it is. Aims that are
 times are for the machine of the issue that named them: a yardstick, measured with every part, tells how many times
 slower this one is (`yardstick.py`), and beside such a figure stands what it would be there, which is what is judged.
