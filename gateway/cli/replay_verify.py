@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from gateway.cli.output import complain, console, errors, print_json
+from replay.compare.cluster import ClusterError, cluster
 from replay.compare.differences import EXPLAINED, Differences, differences
 from replay.compare.fleet import Judged, Tally, all_judged
 from replay.compare.junit import JUnit
@@ -26,7 +27,7 @@ WORTH_PROCESSES = 4_000_000  # bytes of a session; less is compared before proce
 COLOURS = {"identical": "green", "different": "red", "incomplete": "yellow", "not replayable": "yellow"}
 
 
-def verify(
+def verify(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     session: Annotated[
         list[Path], typer.Argument(metavar="PATH...", help="Session folder, .rrd file, or folder with sessions in it.")
     ],
@@ -35,6 +36,9 @@ def verify(
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All differences with --json, not only the first.")] = False,
     junit: Annotated[Path | None, typer.Option(help="Write the verdicts to this file as JUnit XML.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="A Dask cluster instead of processes here, e.g. tcp://10.0.0.5:8786.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable verdict.")] = False,
 ) -> None:
     """Run the recorded inputs through the same core: would it do the same again?
@@ -53,12 +57,24 @@ def verify(
 
     Several paths, or a folder with sessions in it: a line for each session, a summary, and the worst exit code, by
     1, 2, 3, 0. --json is then one document: sessions (each as above with path, robot, seconds and differences) and
-    summary.
+    summary. So it is with --scheduler as well, whose workers need DriveGate and the sessions under the same paths.
     """
     found = sessions(session)
-    if found == session and len(found) == 1:
+    if found == session and len(found) == 1 and scheduler is None:
         raise typer.Exit(_one(found[0], jobs, junit, every=every, json=json))
-    raise typer.Exit(_many(found, jobs, junit, json=json))
+    try:
+        with _pool(scheduler, min(jobs or len(os.sched_getaffinity(0)), len(found))) as pool:
+            exit_code = _many([path.absolute() for path in found] if scheduler else found, pool, junit, json=json)
+    except ClusterError as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    raise typer.Exit(exit_code)
+
+
+def _pool(scheduler: str | None, wanted: int) -> AbstractContextManager[Executor | None]:
+    if scheduler is not None:
+        return cluster(scheduler)
+    return processes(wanted) if wanted > 1 else nullcontext()
 
 
 def _one(path: Path, jobs: int | None, junit: Path | None, *, every: bool, json: bool) -> int:
@@ -87,15 +103,11 @@ def _one(path: Path, jobs: int | None, junit: Path | None, *, every: bool, json:
     return verdict.exit_code
 
 
-def _many(paths: Sequence[Path], jobs: int | None, junit: Path | None, *, json: bool) -> int:
+def _many(paths: Sequence[Path], pool: Executor | None, junit: Path | None, *, json: bool) -> int:
     """A line for each; the worst exit code."""
-    wanted = min(jobs or len(os.sched_getaffinity(0)), len(paths))
     tally, report, told = Tally(), JUnit(), []
     columns = (TextColumn("verifying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with (
-        processes(wanted) if wanted > 1 else nullcontext() as pool,
-        Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress,
-    ):
+    with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress:
         task = progress.add_task("verify", total=len(paths))
         for one in all_judged(paths, pool):
             progress.advance(task)

@@ -95,7 +95,10 @@ def judged(path: Path) -> Judged:
 
 
 def all_judged(paths: Sequence[Path], pool: Executor | None = None) -> Iterator[Judged]:
-    """Each in its turn, with a pool some of them ahead; those that a broken pool leaves are judged here."""
+    """Each in its turn, with a pool some of them ahead; those that a broken pool leaves are judged here.
+
+    A pool is processes (`replay.compare.side_by_side`) or a cluster (`replay.compare.cluster`).
+    """
     done = 0
     try:
         for one in map(judged, paths) if pool is None else _ahead(paths, pool):
@@ -107,17 +110,27 @@ def all_judged(paths: Sequence[Path], pool: Executor | None = None) -> Iterator[
 
 def _ahead(paths: Sequence[Path], pool: Executor) -> Iterator[Judged]:
     """Raises BrokenProcessPool."""
-    waiting: deque[Future[Judged]] = deque()
+    waiting: deque[tuple[Path, Future[Judged]]] = deque()
     try:
         for path in paths:
-            waiting.append(pool.submit(judged, path))
+            waiting.append((path, pool.submit(judged, path)))
             if len(waiting) > AHEAD:
-                yield waiting.popleft().result()
+                yield _done(*waiting.popleft())
         while waiting:
-            yield waiting.popleft().result()
+            yield _done(*waiting.popleft())
     finally:
-        for future in waiting:
+        for _, future in waiting:
             future.cancel()
+
+
+def _done(path: Path, future: Future[Judged]) -> Judged:
+    """Raises BrokenProcessPool."""
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise
+    except Exception as error:  # of a cluster: a worker that was killed, or that has no DriveGate
+        return Judged(str(path), None, not_replayable(f"{path}: no worker could judge it: {error!r}"), 0.0, None)
 
 
 class Tally:
