@@ -12,7 +12,7 @@ from gateway.cli.output import complain, console, print_json
 from gateway.config import ConfigError, load
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE
 from replay.compare.what_if import OPEN_LOOP, WhatIf, WhatIfError
-from replay.sessions.reader import SessionError, open_session
+from replay.sessions.reader import Session, SessionError, open_session
 
 
 def whatif(  # noqa: PLR0917  # a command line: each parameter is an option with a name
@@ -39,6 +39,7 @@ def whatif(  # noqa: PLR0917  # a command line: each parameter is an option with
     """
     try:
         opened = open_session(session)
+        _check_out(out, opened)
         other = None if robot_file is None else load(robot_file)[0]
         question = WhatIf(opened, _settings(settings or ()), other, begin)
         _answer(question, opened.path.name, out)
@@ -67,6 +68,12 @@ def _settings(given: Sequence[str]) -> dict[str, float]:
         except ValueError:
             raise WhatIfError(f"--set {text}: must be NAME=VALUE, the value a number") from None
     return found
+
+
+def _check_out(out: Path | None, session: Session) -> None:
+    """Raises WhatIfError."""
+    if out is not None and out.resolve() in {segment.resolve() for segment in session.segments}:
+        raise WhatIfError(f"--out {out}: is of the session itself")
 
 
 def _answer(question: WhatIf, name: str, out: Path | None) -> None:

@@ -27,7 +27,7 @@ class Recording:
         self._layouts = tuple(_layouts(robot) for robot in (config, new))
         self._steps: list[Step] = []
         self._next_t = 0.0
-        self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=f"whatif-{name}")
+        self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=f"whatif-{name}", send_properties=False)
         try:
             self._recording.save(path, default_blueprint=_blueprint(config))
         except RuntimeError as error:

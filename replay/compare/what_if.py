@@ -47,7 +47,8 @@ class Change(NamedTuple):
     """What becomes of a channel, or of a field of a motor's commands.
 
     `first_t`: s since the first recorded cycle. `largest` at `largest_t`, and `rms` over all cycles in which both have
-    the number, in the unit of the channel; None: it is no number, or one of both has none. `cycles`: that differ.
+    the number (of a command's field: over all cycles), in the unit of the channel; None: it is no number, or one of
+    both has none. `cycles`: that differ.
     """
 
     motor: str | None

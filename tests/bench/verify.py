@@ -53,8 +53,8 @@ def _measured(folder: Path) -> dict[str, float]:
             assert verdicts[0].identical
             alone.append(verdicts[0].realtime_ratio)
             together.append(verdicts[1].realtime_ratio)
-            counted.append(_seconds(lambda: list(pool.map(_count, [COUNTS]))))
-            counted_together.append(_seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS]))))
+            counted.append(count(pool, 1))
+            counted_together.append(count(pool, 2))
     return {
         "verify_realtime_ratio": verdict.cycles / RATE_HZ / min(spent),
         "verify_realtime_ratio_two_processes": max(together),
@@ -63,11 +63,9 @@ def _measured(folder: Path) -> dict[str, float]:
     }
 
 
-def counting_gain(pool: Executor) -> float:
-    """What two processes gain that only count."""
-    one = [_seconds(lambda: list(pool.map(_count, [COUNTS]))) for _ in range(REPEATS)]
-    two = [_seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS]))) for _ in range(REPEATS)]
-    return 2.0 * min(one) / min(two)
+def count(pool: Executor, number: int) -> float:
+    """Seconds in which so many of its processes count."""
+    return _seconds(lambda: list(pool.map(_count, [COUNTS] * number)))
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -98,15 +98,26 @@ def test_the_same_robot_file_changes_nothing(world: World, session: Path) -> Non
     assert "at the session's beginning" in question.began
 
 
-def test_another_robot_file_begins_where_the_session_does(world: World, session: Path) -> None:
-    question = asked(session, {}, slower(world), FROM)
+@pytest.mark.parametrize("begin", [0.0, FROM])
+def test_another_robot_file_begins_where_the_session_does(world: World, session: Path, begin: float) -> None:
+    question = asked(session, {}, slower(world), begin)
     engine = Engine(slower(world))
-    differ = [
-        engine.step(inputs).trace.wheel_setpoints != before.trace.wheel_setpoints for inputs, before in world.records
-    ]
-    motors = world.config.robot.motor_names()
-    assert max(change_of(question, motor, "commanded").cycles for motor in motors) == sum(differ[round(FROM * RATE) :])
-    assert question.cycles == len(world.records) - round(FROM * RATE)
+    start = round(begin * RATE)
+    pairs = [(before.trace.setpoint[0], engine.step(inputs).trace.setpoint[0]) for inputs, before in world.records]
+    sizes = [abs(one - other) for one, other in pairs[start:]]
+    found = change_of(question, None, "vx_limited")
+    assert (question.cycles, found.cycles) == (len(sizes), sum(size > 0.0 for size in sizes))
+    assert (found.cycles < question.cycles) is (begin == 0.0)
+    assert found.largest == max(sizes)
+    assert found.rms == pytest.approx(sqrt(sum(size * size for size in sizes) / len(sizes)))
+
+
+def test_settings_and_a_robot_file_are_asked_for_together(world: World, session: Path) -> None:
+    """The setting from its time on, and not before."""
+    same = parse(world.text, "the same")
+    both, alone = (asked(session, {"speed_override": 0.2}, other, FROM) for other in (same, None))
+    assert both.changes == alone.changes
+    assert (both.cycles, both.unseen) == (alone.cycles, alone.unseen)
 
 
 def without_beginning(world: World, tmp_path: Path) -> Path:
@@ -191,8 +202,32 @@ def test_the_command_takes_a_robot_file(world: World, session: Path, tmp_path: P
 def test_both_are_in_one_recording(session: Path, tmp_path: Path) -> None:
     out = tmp_path / "whatif.rrd"
     assert run(session, "--set", "speed_override=0.2", "--out", out).exit_code == 0
-    paths = {chunk.entity_path for chunk in RrdReader(out).store().stream()}
-    assert {"/recorded/wheels", "/new/wheels", "/recorded/twist", "/new/twist"} <= paths
+    steps = {step.cycle: step for step in WhatIf(open_session(session), {"speed_override": 0.2}).steps()}
+    for side in ("recorded", "new"):
+        drawn = drawn_limited(out, f"/{side}/twist/setpoint")
+        assert len(drawn) > 50
+        assert drawn == {cycle: list(getattr(steps[cycle], side).trace.setpoint) for cycle in drawn}
+
+
+def drawn_limited(out: Path, entity: str) -> dict[int, list[float]]:
+    """The body's setpoint by cycle."""
+    found: dict[int, list[float]] = {}
+    for chunk in RrdReader(out).store().stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if "cycle" in batch.schema.names:
+            found |= dict(
+                zip(batch.column("cycle").to_pylist(), batch.column("Scalars:scalars").to_pylist(), strict=True)
+            )
+    return found
+
+
+def test_the_session_itself_is_not_written_over(session: Path) -> None:
+    file = session / "segment-00001.rrd"
+    before = file.read_bytes()
+    done = run(session, "--set", "speed_override=0.2", "--out", file)
+    assert done.exit_code == 2
+    assert "of the session itself" in done.output
+    assert file.read_bytes() == before
 
 
 def test_a_recording_that_cannot_be_written_is_said(session: Path, tmp_path: Path) -> None:
