@@ -91,7 +91,7 @@ PURE = (
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
 IMPURE_FILES = {
-    *("replay/compare/side_by_side.py", "replay/compare/verify.py"),
+    *("replay/compare/fleet.py", "replay/compare/side_by_side.py", "replay/compare/verify.py"),
     *("replay/drive/player.py", "replay/drive/redrive.py"),
     *("replay/sim/network_device.py", "replay/sim/server.py"),
 }

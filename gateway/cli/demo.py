@@ -21,7 +21,7 @@ from rich.table import Table
 
 from gateway import robot_files
 from gateway.cli.output import complain, console, errors, print_json
-from gateway.cli.replay import show, verify_with_progress
+from gateway.cli.replay_verify import show, verify_with_progress
 from gateway.cli.viewer import view
 from gateway.client import Client
 from gateway.commander import COMMAND_RATE_HZ, rest, start

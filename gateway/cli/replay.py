@@ -1,36 +1,32 @@
 """`drivegate replay`: what to do with a recorded session."""
 
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gateway.cli import replay_inject, replay_io
-from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_files import repair
+from gateway.cli.replay_verify import verify
+from gateway.cli.replay_whatif import whatif
 from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
 from gateway.edges.zenoh_session import LinkError
 from replay.compare.likeness import Comparison
 from replay.compare.retrace import columns, frames, rows
-from replay.compare.side_by_side import processes
-from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
-from replay.compare.verify import verify as run_verify
+from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE
 from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
 from replay.drive.player import play as play_frames
 from replay.drive.redrive import RedriveError, redrive
 from replay.sessions.reader import Session, SessionError, open_session
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
-WORTH_PROCESSES = 4_000_000  # bytes of a session; less is compared before processes have started
 
 replay = typer.Typer(help="Re-run recorded sessions.", no_args_is_help=True, rich_markup_mode="markdown")
 
@@ -43,42 +39,8 @@ def _group() -> None:
 replay_inject.register(replay)
 replay_io.register(replay)
 replay.command()(repair)
-
-
-@replay.command()
-def verify(
-    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
-    jobs: Annotated[
-        int | None, typer.Option(min=1, max=256, help="Processes side by side. Default: one per processor.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Machine-readable verdict.")] = False,
-) -> None:
-    """Run the recorded inputs through the same core: would it do the same again?
-
-    Exit 0: identical, and the recording is provably complete. Exit 1: different, complete or not. Exit 2: it cannot be
-    replayed at all (no session, no cycles, no beginning, a robot file that is refused). Exit 3: identical as far as it
-    goes, but the recording is incomplete: cycles lost or cut out, a segment unclosed, missing or damaged, the end
-    missing, or the beginning deleted by recording.disk_budget or min_free. Behind what is missing the comparison goes
-    on from the next snapshot of the core, of which the recording has one every five seconds.
-
-    --json: identical (true with exit 0 only), complete, cycles and frames compared, unseen (cycles that could not be),
-    realtime_ratio, first_difference (cycle, motor, field, recorded, replayed, or null), problem (what is missing, or
-    null), refused (why a snapshot was of no use, or null), exit_code, software_change (what computes the outputs and is
-    not what it was, or null), first_unproven (the first cycle that is missing or, by the digest chain, not as it was
-    recorded, or null).
-    """
-    try:
-        verdict = verify_with_progress(open_session(session), jobs)
-    except (SessionError, ValueError) as error:
-        if json:
-            print_json(not_replayable(str(error)).as_json())
-        complain(str(error))
-        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
-    if json:
-        print_json(verdict.as_json())
-    else:
-        show(verdict)
-    raise typer.Exit(verdict.exit_code)
+replay.command()(verify)
+replay.command()(whatif)
 
 
 @replay.command()
@@ -250,49 +212,3 @@ def _told(path: Path) -> Iterator[Session]:
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     code = _exit_of(opened)
     raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
-
-
-def verify_with_progress(session: Session, jobs: int | None = None) -> Verdict:
-    """Verify, side by side where it is worth it, with a progress bar on a terminal."""
-    columns = (TextColumn("verifying"), BarColumn(), TextColumn("{task.completed:.0f} cycles"), TimeRemainingColumn())
-    watched = errors.is_terminal
-    with (
-        _side_by_side(session, jobs) as pool,
-        Progress(*columns, console=errors, disable=not watched, transient=True) as progress,
-    ):
-        task = progress.add_task("verify", total=session.cycle_count if watched else None)
-        return run_verify(session, lambda done: progress.advance(task, done), pool=pool)
-
-
-def _side_by_side(session: Session, jobs: int | None) -> AbstractContextManager[Executor | None]:
-    """As many processes as wanted; by default as there are processors, and none for a short session."""
-    size = sum(segment.stat().st_size for segment in session.segments if segment.exists())
-    wanted = jobs or (len(os.sched_getaffinity(0)) if size >= WORTH_PROCESSES else 1)
-    return processes(wanted) if wanted > 1 else nullcontext()
-
-
-def show(verdict: Verdict) -> None:
-    """The verdict in words."""
-    covered = f"{verdict.cycles} cycles, {verdict.frames} frames sent, {verdict.realtime_ratio:.0f} x real time"
-    difference = verdict.first_difference
-    if difference is not None:
-        subject = f" of motor {difference.motor}" if difference.motor else ""
-        console.print(f"[red]different[/] in cycle {difference.cycle}: {difference.field}{subject}")
-        console.print(f"  recorded {difference.recorded}\n  replayed {difference.replayed}", highlight=False)
-        if verdict.software_change is not None:
-            console.print(f"  the software is another one: {verdict.software_change}", highlight=False)
-    elif verdict.identical:
-        console.print(f"[green]identical[/]: {covered}")
-    elif verdict.exit_code == EXIT_INCOMPLETE:
-        compared = f"identical as far as it goes ({covered})" if verdict.cycles else "nothing could be compared"
-        console.print(f"[yellow]incomplete[/]: {compared}", highlight=False)
-    else:
-        console.print("[yellow]not replayable[/]: nothing could be compared")
-    if verdict.problem is not None:
-        console.print(f"  the recording: {verdict.problem}", highlight=False)
-    if verdict.first_unproven is not None:
-        console.print(f"  proven are the cycles in front of {verdict.first_unproven}", highlight=False)
-    if verdict.unseen:
-        console.print(f"  not compared: {verdict.unseen} cycles that no snapshot leads to", highlight=False)
-    if verdict.refused is not None:
-        console.print(f"  a snapshot was of no use: {verdict.refused}", highlight=False)

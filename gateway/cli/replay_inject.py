@@ -19,6 +19,7 @@ from replay.drive.scenario import Watch
 from replay.inject.campaign import Campaign, campaign
 from replay.inject.injection import Injected, Recorded, Script, in_words, inject, read_script, recorded, script_of
 from replay.inject.kept import keep
+from replay.sessions.folders import sessions
 from replay.sessions.reader import SessionError, open_session
 
 EXIT_BROKEN = 1
@@ -81,7 +82,7 @@ def inject_faults(
 
 
 def random_campaign(
-    sessions: Annotated[list[Path], typer.Argument(help="Session folders, or folders of them.")],
+    paths: Annotated[list[Path], typer.Argument(help="Session folders, or folders of them.")],
     *,
     cycles: Annotated[int, typer.Option(min=1, help="At least so many cycles in all.")] = 1_000_000,
     seed: Annotated[int, typer.Option(min=0, help="Number of the first drive.")] = 0,
@@ -94,7 +95,7 @@ def random_campaign(
 
     --json: drives, cycles, violations (by law), found (law, seed, cycles, violation, entries, seconds, tries; or null).
     """
-    drives = _drives(sessions)
+    drives = _drives(paths)
     columns = (TextColumn("driving"), BarColumn(), TextColumn("{task.completed:.0f} cycles"), TimeRemainingColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress:
         task = progress.add_task("drive", total=cycles)
@@ -119,23 +120,15 @@ def _script(path: Path | None, faults: list[str], seed: int) -> Script:
 def _drives(paths: list[Path]) -> list[Recorded]:
     """Of all sessions that can be driven again; the others are told."""
     drives = []
-    for path in paths:
-        for folder in _sessions_in(path):
-            try:
-                drives.append(recorded(open_session(folder)))
-            except (SessionError, ConfigError) as error:
-                complain(str(error))
+    for path in sessions(paths):
+        try:
+            drives.append(recorded(open_session(path)))
+        except (SessionError, ConfigError) as error:
+            complain(str(error))
     if not drives:
         complain(f"{', '.join(map(str, paths))}: there is no session to drive again")
         raise typer.Exit(EXIT_NOT_REPLAYABLE)
     return drives
-
-
-def _sessions_in(path: Path) -> list[Path]:
-    """Itself, or every folder below it that holds segments."""
-    if path.is_dir() and not list(path.glob("*.rrd")):
-        return sorted({segment.parent for segment in path.rglob("*.rrd")})
-    return [path]
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
+from gateway.cli.replay_verify import show
 from gateway.config import ConfigError, load
 from gateway.recording.recorder import RecorderError
 from replay.compare.difference import Difference, difference
@@ -52,8 +53,6 @@ def info(
     else:
         _show(found)
         if verdict is not None:
-            from gateway.cli.replay import show  # noqa: PLC0415  # which registers the commands of this module
-
             show(verdict)
     raise typer.Exit(_code(found) if verdict is None else verdict.exit_code)
 

@@ -54,6 +54,16 @@ class Replay:
         """Of the core after the cycle before; None if nobody knows it."""
         return None if self._engine is None else self._engine.snapshot()
 
+    def lose(self) -> None:
+        """The core has broken: there is none until the next snapshot."""
+        self._engine = None
+
+    def restore(self, cycle: int) -> bool:
+        """Give the core the state recorded after this cycle, the last one; whether there is such a state."""
+        engine = self._restored(cycle)
+        self._engine = engine or self._engine
+        return engine is not None
+
     def _restored(self, cycle: int) -> Engine | None:
         state = self._snapshot(cycle)
         if state is None:

@@ -55,7 +55,7 @@ class Verdict(NamedTuple):
     otherwise, or if nothing could be compared, `problem` says what. `cycles` and `frames` are those compared, `unseen`
     those that are there and could not be: behind a gap, with no snapshot since; `refused`: why one was of no use.
     `software_change`: only where something differs, what of the software is not what it was. `first_unproven`: the
-    first cycle that is missing or not provably as it was recorded.
+    first cycle that is missing or not provably as it was recorded. `seconds`: what the cycles compared cover.
     """
 
     identical: bool
@@ -70,14 +70,17 @@ class Verdict(NamedTuple):
     exit_code: int
     software_change: str | None = None
     first_unproven: int | None = None
+    seconds: float = 0.0
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
         difference = self.first_difference
-        return self._asdict() | {
+        told = self._asdict() | {
             "realtime_ratio": round(self.realtime_ratio, 2),
             "first_difference": None if difference is None else difference._asdict(),
         }
+        del told["seconds"]
+        return told
 
 
 def not_replayable(problem: str) -> Verdict:
@@ -163,6 +166,7 @@ def _verdict(
         exit_code=exit_code,
         software_change=None if difference is None else change(session.header),
         first_unproven=session.first_unproven,
+        seconds=compared.covered_ns * 1e-9,
     )
 
 

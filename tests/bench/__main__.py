@@ -1,11 +1,11 @@
 """`python -m tests.bench [--json] [NAME ...]`: every figure that an issue names, its peer and its aim, in one run.
 
-NAME: only these parts (cycle, pull, slip, launch, verify, sessions, live, recorder, damage, plant, laws). Peers are
-measured side by side with what they stand beside, so that a busy machine meets both; figures without a peer want a
-quiet one.
-Aims with two numbers are for the compiled core and for pure Python: the first line says which it is. Aims that are
-times are for the machine of the issue that named them: a yardstick, measured with every part, tells how many times
-slower this one is (`yardstick.py`), and beside such a figure stands what it would be there, which is what is judged.
+NAME: only these parts (cycle, pull, slip, launch, verify, fleet, sessions, live, recorder, damage, plant, laws).
+Peers are measured side by side with what they stand beside, so that a busy machine meets both; figures without a peer
+want a quiet one. Aims with two numbers are for the compiled core and for pure Python: the first line says which it
+is. Aims that are times are for the machine of the issue that named them: a yardstick, measured with every part, tells
+how many times slower this one is (`yardstick.py`), and beside such a figure stands what it would be there, which is
+what is judged.
 """
 
 import json
@@ -15,7 +15,21 @@ from typing import NamedTuple
 
 from gateway.build import COMPILED, FORM
 from replay.inject.laws import ALL_LAWS
-from tests.bench import cycle, damage, launch, laws, live, plant, pull_law, recorder, sessions, slip, verify, yardstick
+from tests.bench import (
+    cycle,
+    damage,
+    fleet,
+    launch,
+    laws,
+    live,
+    plant,
+    pull_law,
+    recorder,
+    sessions,
+    slip,
+    verify,
+    yardstick,
+)
 from tests.world import NAMES
 
 PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
@@ -30,6 +44,10 @@ PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
         launch.measure,
     ),
     "verify": ("replay verify at 1 kHz, in multiples of real time", verify.measure),
+    "fleet": (
+        f"verdicts on {fleet.SESSIONS} short sessions, in one process, in two, by two workers of a cluster",
+        fleet.measure,
+    ),
     "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
     "live": ("the service at 1 kHz, the simulated robot in a process of its own, us", live.measure),
     "recorder": ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
@@ -83,6 +101,8 @@ AIMS: Mapping[str, Aim] = {
     "launch_us": Aim(most=8.0, work=1),
     **dict(_verify_aims()),
     **dict(_session_aims()),
+    "fleet_gain_two_processes": Aim("fleet_counting_gain"),
+    "fleet_gain_two_workers": Aim("fleet_counting_gain"),
     "plant_step_us_moby_dynamics": Aim(most=300.0, work=1),
     "plant_slippery_step_us_moby_dynamics": Aim(most=300.0, work=1),
     "plant_step_us_omni4_dynamics": Aim(most=300.0, work=1),

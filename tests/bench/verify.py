@@ -7,6 +7,7 @@ on this machine now.
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
 
 from gateway.types import Twist
@@ -52,14 +53,19 @@ def _measured(folder: Path) -> dict[str, float]:
             assert verdicts[0].identical
             alone.append(verdicts[0].realtime_ratio)
             together.append(verdicts[1].realtime_ratio)
-            counted.append(_seconds(lambda: list(pool.map(_count, [COUNTS]))))
-            counted_together.append(_seconds(lambda: list(pool.map(_count, [COUNTS, COUNTS]))))
+            counted.append(count(pool, 1))
+            counted_together.append(count(pool, 2))
     return {
         "verify_realtime_ratio": verdict.cycles / RATE_HZ / min(spent),
         "verify_realtime_ratio_two_processes": max(together),
         "verify_gain_two_processes": max(together) / max(alone),
         "counting_gain_two_processes": 2.0 * min(counted) / min(counted_together),
     }
+
+
+def count(pool: Executor, number: int) -> float:
+    """Seconds in which so many of its processes count."""
+    return _seconds(lambda: list(pool.map(_count, [COUNTS] * number)))
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -1,0 +1,120 @@
+"""`drivegate replay whatif`: what would have been commanded with other settings, or with another robot file?"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from gateway.cli.output import complain, console, print_json
+from gateway.config import ConfigError, load
+from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE
+from replay.compare.what_if import OPEN_LOOP, WhatIf, WhatIfError
+from replay.sessions.reader import Session, SessionError, open_session
+
+
+def whatif(  # noqa: PLR0917  # a command line: each parameter is an option with a name
+    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting, e.g. compensation.gain=2.5.")
+    ] = None,
+    robot_file: Annotated[Path | None, typer.Option(help="Another robot file.")] = None,
+    begin: Annotated[float, typer.Option("--from", help="s since the first recorded cycle.")] = 0.0,
+    out: Annotated[Path | None, typer.Option(help="Recording with both side by side, e.g. whatif.rrd.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable answer.")] = False,
+) -> None:
+    """Run the recorded inputs through the core with other settings or another robot file: what would it have said?
+
+    Open loop: motors and sensors say what they said then, whatever is commanded. Settings are asked for in the first
+    cycle from --from on. With another robot file the core begins where the session does, because it can take no state
+    from the recorded one, and --from says from where on the answers are compared.
+
+    Exit 0 whether something changes or not; 2 if it cannot be answered; 3 if the recording is incomplete.
+
+    --json: changes (motor, channel, cycles, first_t, last_t, largest, largest_t, rms), cycles (compared), unseen,
+    began (where the changed core has its state from), open_loop (what that means), problem (what is missing of the
+    recording, or null).
+    """
+    try:
+        opened = open_session(session)
+        _check_out(out, opened)
+        other = None if robot_file is None else load(robot_file)[0]
+        question = WhatIf(opened, _settings(settings or ()), other, begin)
+        _answer(question, opened.path.name, out)
+    except (SessionError, WhatIfError, ConfigError) as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    except OSError as error:
+        complain(f"{out}: cannot be written: {error.strerror}")
+        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    if json:
+        print_json(_document(question, opened.problem))
+    else:
+        _show(question)
+        if opened.problem is not None:
+            complain(f"{opened.path}: incomplete: {opened.problem}")
+    raise typer.Exit(0 if opened.problem is None else EXIT_INCOMPLETE)
+
+
+def _settings(given: Sequence[str]) -> dict[str, float]:
+    """Raises WhatIfError."""
+    found: dict[str, float] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            raise WhatIfError(f"--set {text}: must be NAME=VALUE, the value a number") from None
+    return found
+
+
+def _check_out(out: Path | None, session: Session) -> None:
+    """Raises WhatIfError."""
+    if out is not None and out.resolve() in {segment.resolve() for segment in session.segments}:
+        raise WhatIfError(f"--out {out}: is of the session itself")
+
+
+def _answer(question: WhatIf, name: str, out: Path | None) -> None:
+    """All of it. Raises WhatIfError, OSError."""
+    if out is None:
+        for _ in question.steps():
+            pass
+        return
+    from gateway.cli.whatif_recording import Recording  # noqa: PLC0415  # Rerun takes half a second
+
+    with Recording(out, name, question.config, question.new_config) as recording:
+        for step in question.steps():
+            recording.add(step)
+
+
+def _document(question: WhatIf, problem: str | None) -> dict[str, object]:
+    return {
+        "changes": [change._asdict() for change in question.changes],
+        "cycles": question.cycles,
+        "unseen": question.unseen,
+        "began": question.began,
+        "open_loop": OPEN_LOOP,
+        "problem": problem,
+    }
+
+
+def _show(question: WhatIf) -> None:
+    changes = question.changes
+    if changes:
+        table = Table("motor", "what", "cycles", "first", "largest", "at", "rms", title="what changes")
+        for one in changes:
+            sizes = (_number(one.largest), _number(one.largest_t, " s"), _number(one.rms))
+            table.add_row(one.motor or "", escape(one.channel), str(one.cycles), _number(one.first_t, " s"), *sizes)
+        console.print(table)
+    else:
+        console.print("[green]nothing changes[/]")
+    console.print(f"  {question.cycles} cycles; the changed core began {question.began}", highlight=False)
+    if question.unseen:
+        console.print(f"  not compared: {question.unseen} cycles that no state leads to", highlight=False)
+    console.print(f"  {OPEN_LOOP}", highlight=False)
+
+
+def _number(value: float | None, unit: str = "") -> str:
+    return "" if value is None else f"{value:.4g}{unit}"

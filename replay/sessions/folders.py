@@ -1,0 +1,18 @@
+"""Where sessions are."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from gateway.recording.disk import segments
+
+
+def sessions(paths: Iterable[Path]) -> list[Path]:
+    """Every session in these folders, by name, none twice; a path in which there is none stands for itself."""
+    return list(dict.fromkeys(found for path in paths for found in _sessions(path)))
+
+
+def _sessions(path: Path) -> Sequence[Path]:
+    if not path.is_dir() or segments(path):
+        return [path]
+    found = {file.parent for file in path.rglob("segment-*.rrd")}
+    return sorted(folder for folder in found if segments(folder)) or [path]
