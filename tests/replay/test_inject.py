@@ -115,7 +115,7 @@ def test_a_campaign_finds_a_rule_that_is_gone_and_writes_a_test(
 
 
 def test_a_campaign_over_recorded_sessions_finds_nothing_and_is_the_same_again() -> None:
-    drives = [recorded(open_session(path)) for path in sorted(SESSIONS.iterdir()) if path.is_dir()]
+    drives = [recorded(open_session(path)) for path in sorted(SESSIONS.glob("v*"))]
     told: list[int] = []
     found = campaign(drives, cycles=4000, seed=7, told=told.append)
     assert found.found is None
