@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -33,19 +32,17 @@ def answered(
 ) -> tuple[int, dict[str, object]]:
     """Exit code and document, of a call whose standard input is a terminal. `interrupted`: while the robot moves."""
     person, terminal = pty.openpty()
-    with subprocess.Popen(command(robot, file), stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as call:
+    heeding = ["env", "--default-signal=INT"]  # what a shell starts in the background ignores Ctrl-C
+    said = [*heeding, *command(robot, file)]
+    with subprocess.Popen(said, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as call:
         os.write(person, f"{answer}\n".encode())
         if interrupted:
-            for _ in range(3):  # as a person does: one that comes while a message is handled may be lost
-                robot.await_state(faster_than(0.1), timeout=60.0)
-                call.send_signal(signal.SIGINT)
-                with suppress(subprocess.TimeoutExpired):
-                    call.wait(10.0)
-                    break
-        said, _ = call.communicate(timeout=180)
+            robot.await_state(faster_than(0.1), timeout=60.0)
+            call.send_signal(signal.SIGINT)
+        told, _ = call.communicate(timeout=180)
     os.close(terminal)
     os.close(person)
-    return call.returncode, json.loads(said.splitlines()[-1])
+    return call.returncode, json.loads(told.splitlines()[-1])
 
 
 def await_setting(robot: RobotProcess, name: str, value: float) -> None:
