@@ -66,6 +66,7 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "ground", "robot file", "entrance", "gateway/core", "gateway/edges", "gateway/recording"),
         *("replay/sessions", "replay/compare", "replay/sim", "replay/sim/plants", "replay/sim/sensors"),
     },
+    "replay/history": set(),
     "replay/inject": {
         *("ground", "robot file", "gateway/control", "replay/sessions", "replay/drive", "replay/sim/plants"),
     },
@@ -93,6 +94,7 @@ IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subproce
 IMPURE_FILES = {
     *("replay/compare/fleet.py", "replay/compare/side_by_side.py", "replay/compare/verify.py"),
     *("replay/drive/player.py", "replay/drive/redrive.py"),
+    "replay/history/revisions.py",
     *("replay/sim/network_device.py", "replay/sim/server.py"),
 }
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
