@@ -10,7 +10,7 @@ Its cause is told by what there is to prove it, in this order:
 
 | cause | what proves it |
 |---|---|
-| tampered | the segments are not what was sealed |
+| tampered | the segments are not what was sealed, or not what the digest chain proves |
 | arithmetic | nothing but numbers differ, in their last bits |
 | software | another version or commit computes now |
 | robot file | a recorded state is of another robot file |
@@ -31,6 +31,7 @@ from gateway.core.frame_words import FrameWords
 from gateway.core.snapshot import fingerprint
 from gateway.types import Inputs, Odometry
 from replay.compare.replay import CRASHES, Replay, same
+from replay.sessions.chain import ALTERED, EXCHANGED
 from replay.sessions.cycles import RecordedOutputs
 from replay.sessions.reader import Session, packed
 from replay.sessions.software import change
@@ -46,7 +47,7 @@ UNASKED = "a reply was recorded, and no request with its id"
 LEADS_ELSEWHERE = "the recorded inputs do not lead to the recorded state"
 LEADS_THERE = "the recorded inputs lead to the recorded state: the outputs on the way are not what was said then"
 NO_PROOF = "missing inputs, or tampered: no recorded state follows that would tell"
-UNSEALED = ("not as it was written", "its seal is missing")
+PROOFS = ("not as it was written", "its seal is missing", ALTERED, EXCHANGED)
 
 
 class Cause(Enum):
@@ -211,7 +212,7 @@ class _Judge:
     """Names the cause of episodes, once the session was read whole."""
 
     def __init__(self, session: Session, *, another_robot_file: bool) -> None:
-        self._unsealed = next((one for one in session.problems if any(words in one for words in UNSEALED)), None)
+        self._unsealed = next((one for one in session.problems if any(words in one for words in PROOFS)), None)
         self._software = change(session.header)
         self._another_robot_file = another_robot_file
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from gateway.core.engine import Engine
+from gateway.recording import segment
+from gateway.recording.chain import link
 from gateway.recording.packets import Record, Snapshot
 from gateway.types import CycleTiming, Inputs, Mode, Outputs, Request, RequestKind, Twist
 from replay.compare.differences import Cause, Differences, differences
@@ -109,6 +111,19 @@ def test_a_broken_seal_is_tampered_with_whatever_differs(world: World, tmp_path:
     folder = recorded(tmp_path, world, at([one[0].cycle for one in world.records], last_bit, world))
     with (folder / "segment-00001.rrd").open("ab") as file:
         file.write(b"\0")
+    assert set(causes(found(folder))) == {Cause.TAMPERED}
+
+
+def test_a_broken_chain_is_tampered_with_whatever_differs(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seal and sums fit what was edited: only the chain is still that of the truth."""
+
+    def linked(before: bytes, number: int, cycles: int, stored: bytes) -> bytes:
+        return bytes(32) if number == BATCH else link(before, number, cycles, stored)
+
+    monkeypatch.setattr(segment, "link", linked)
+    folder = recorded(tmp_path, world, at([one[0].cycle for one in world.records], last_bit, world))
     assert set(causes(found(folder))) == {Cause.TAMPERED}
 
 
