@@ -67,22 +67,22 @@ def recorded(world: World, folder: Path) -> Path:
 
 
 def _records(world: World) -> list[Record]:
-    return [_record(number, inputs, outputs) for number, (inputs, outputs) in enumerate(world.records)]
+    return [told(number, inputs, outputs) for number, (inputs, outputs) in enumerate(world.records)]
 
 
 def _measured(world: World, folder: Path) -> dict[str, float]:
     session, records = recorded(world, folder), _records(world)
     frames = [(record.inputs.now_ns, frame) for record in records for frame in _frames(record)]
     logs: dict[str, tuple[Path, Callable[[Path], Iterable[object]]]] = {
-        "blf": (_logged(frames, folder / "drive.blf"), can.BLFReader),
-        "candump": (_logged(frames, folder / "drive.log"), can.CanutilsLogReader),
+        "blf": (_logged(records, folder / "drive.blf"), can.BLFReader),
+        "candump": (_logged(records, folder / "drive.log"), can.CanutilsLogReader),
         "mcap_lz4": (_mcap(frames, folder / "lz4.mcap", CompressionType.LZ4), _mcap_messages),
         "mcap_zstd": (_mcap(frames, folder / "zstd.mcap", CompressionType.ZSTD), _mcap_messages),
     }
     gc.freeze()  # the drive in memory is no work of the reader
-    times = {"session": [_spent(lambda: open_session(session).cycles()) for _ in range(REPEATS)]}
+    times = {"session": [spent(lambda: open_session(session).cycles()) for _ in range(REPEATS)]}
     for name, (path, reader) in logs.items():
-        times[name] = [_spent(partial(reader, path)) for _ in range(LOG_REPEATS)]
+        times[name] = [spent(partial(reader, path)) for _ in range(LOG_REPEATS)]
     gc.unfreeze()
     sizes = {name: path.stat().st_size for name, (path, _) in logs.items()}
     sizes["session"] = sum(path.stat().st_size for path in session.iterdir())
@@ -93,7 +93,7 @@ def _measured(world: World, folder: Path) -> dict[str, float]:
     }
 
 
-def _record(number: int, inputs: Inputs, outputs: Outputs) -> Record:
+def told(number: int, inputs: Inputs, outputs: Outputs) -> Record:
     """As a service records it: a loop keeps its time within some 100 us, every time by another amount."""
     late, work = 50_000 + number * 7919 % 90_000, 200_000 + number * 104_729 % 60_000
     return Record(inputs, outputs, CycleTiming(late, work, STARTED_NS + inputs.now_ns + number * 31 % 5000))
@@ -103,23 +103,28 @@ def _frames(record: Record) -> Sequence[CanFrame]:
     return (*record.inputs.frames, *record.outputs.frames)
 
 
-def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> Path:
+def _logged(records: Sequence[Record], path: Path) -> Path:
     with can.Logger(str(path)) as log:
-        for now_ns, frame in frames:
-            log.on_message_received(
-                can.Message(
-                    timestamp=(frame.received_ns or now_ns) * 1e-9 + STARTED_NS * 1e-9,
-                    arbitration_id=frame.id,
-                    data=None if frame.remote else frame.data,
-                    is_extended_id=frame.extended,
-                    is_remote_frame=frame.remote,
-                    channel=0 if path.suffix == ".blf" else frame.bus,
-                    is_rx=frame.received_ns is not None,
-                    is_fd=frame.fd,
-                    bitrate_switch=frame.bit_rate_switch,
-                )
-            )
+        for message in messages(records, blf=path.suffix == ".blf"):
+            log.on_message_received(message)
     return path
+
+
+def messages(records: Sequence[Record], *, blf: bool) -> Iterator[can.Message]:
+    """Their frames for a log of python-can; a BLF has channels by number."""
+    for record in records:
+        for frame in _frames(record):
+            yield can.Message(
+                timestamp=(frame.received_ns or record.inputs.now_ns) * 1e-9 + STARTED_NS * 1e-9,
+                arbitration_id=frame.id,
+                data=None if frame.remote else frame.data,
+                is_extended_id=frame.extended,
+                is_remote_frame=frame.remote,
+                channel=0 if blf else frame.bus,
+                is_rx=frame.received_ns is not None,
+                is_fd=frame.fd,
+                bitrate_switch=frame.bit_rate_switch,
+            )
 
 
 def _mcap(frames: Sequence[tuple[int, CanFrame]], path: Path, compression: CompressionType) -> Path:
@@ -144,7 +149,7 @@ def _mcap_messages(path: Path) -> Iterator[object]:
         yield from make_reader(file).iter_messages()
 
 
-def _spent(items: Callable[[], Iterable[object]]) -> float:
+def spent(items: Callable[[], Iterable[object]]) -> float:
     """The processor's time for going through them."""
     started = time.process_time()
     for _ in items():
