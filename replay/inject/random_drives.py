@@ -9,7 +9,7 @@ A robot that lies in FAULT keeps every law without effort: half of the faults ar
 and often all commanders fall silent while it drives.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
     FaultKind.FRAMES_DELAYED: lambda chance: 10 ** chance.uniform(-2.5, -0.5),
     FaultKind.FRAMES_DOUBLED: lambda chance: chance.uniform(0.05, 1.0),
     FaultKind.SENSOR_JUMP: lambda chance: chance.choice([-1.0, 1.0]) * 10 ** chance.uniform(-2.5, 0.0),
-    FaultKind.PUSH: lambda chance: chance.uniform(-300.0, 300.0),
+    FaultKind.PUSH: lambda chance: chance.choice([-1.0, 1.0]) * 10 ** chance.uniform(1.5, 3.5),  # N, up to a collision
     FaultKind.SLOPE: lambda chance: chance.uniform(-0.12, 0.12),
     FaultKind.FRICTION: lambda chance: chance.uniform(0.02, 0.6),
     FaultKind.MASS: lambda chance: 10 ** chance.uniform(1.3, 3.7),  # up to what the motors hardly move
@@ -43,6 +43,8 @@ VALUES: dict[FaultKind, Callable[[Random], float]] = {
 # Those that every plant knows.
 ANY_FAULT = [kind for kind in FaultKind if RULES[kind].target not in (Target.CASTER, Target.SENSOR)]
 SENSOR_FAULTS = [kind for kind in FaultKind if RULES[kind].target is Target.SENSOR]
+MOST_KINDS = 4  # of faults in one drive of a campaign, besides short losses
+PACES = (0.2, 0.5, 1.1)  # of a campaign: exponents of the longest time in which nothing happens, s
 LOSSES = (FaultKind.POWER_OFF, FaultKind.POWER_CYCLE, FaultKind.CABLE_OUT, FaultKind.BUS_DOWN, FaultKind.LOOP_PAUSE)
 ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
 KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
@@ -91,17 +93,30 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
 
 
 def happenings(chance: Random, config: RobotConfig, seconds: float) -> list[Entry]:
-    """What goes wrong in a drive of so many seconds that somebody commands already."""
-    trouble = chance.choice([0.7, 2.0, 4.0])
+    """What goes wrong in a drive of so many seconds that somebody commands already.
+
+    Each drive has a pace of its own and only a few kinds of faults: what takes two of a kind, or a long time in which
+    nothing happens, hardly ever comes about where everything happens all the time (swarm testing).
+    """
+    trouble, longest = chance.choice([0.7, 2.0, 4.0]), chance.choice(PACES)
+    some = chance.sample(_all_kinds(config), chance.randint(1, MOST_KINDS))
     entries: list[Entry] = []
-    t = 10 ** chance.uniform(-1.5, 0.5)
+    t = 10 ** chance.uniform(-1.5, longest)
     while t < seconds:
-        entries += _something(chance, config, t, trouble=trouble, can_brake=False)
-        t += 10 ** chance.uniform(-1.5, 0.5)
+        entries += _something(chance, config, t, trouble=trouble, can_brake=False, kinds=some)
+        t += 10 ** chance.uniform(-1.5, longest)
     return sorted([entry for entry in entries if entry["t"] < seconds], key=lambda at: at["t"])
 
 
-def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float, can_brake: bool) -> list[Entry]:
+def _something(
+    chance: Random,
+    config: RobotConfig,
+    t: float,
+    *,
+    trouble: float,
+    can_brake: bool,
+    kinds: Sequence[FaultKind] | None = None,
+) -> list[Entry]:
     happenings = {"command": 6.0, "start": 3.0, "silence": 1.0, "hush": 1.5, "request": 1.0, "fault": trouble}
     kind = chance.choices(list(happenings), list(happenings.values()))[0]
     if kind == "command":
@@ -124,9 +139,9 @@ def _something(chance: Random, config: RobotConfig, t: float, *, trouble: float,
         return [*silences, again] if can_brake else [*silences, *_loss_while_braking(chance, t), again]
     if kind == "request":
         words = ["estop", "reset", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
-        words += ["stand_up", "let_down", "let_down"] if _upright(config, t) else []
+        words += ["stand_up", "stand_up", "let_down", "let_down"] if _upright(config, t) else []
         return [{"t": t, "request": chance.choice(words)}]
-    return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config)}]
+    return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config, kinds)}]
 
 
 def _upright(config: RobotConfig, t: float) -> list[Entry]:
@@ -167,10 +182,15 @@ def _width(chance: Random, config: RobotConfig) -> Entry:
     return {} if key is None else {key: given[key]}
 
 
-def _fault(chance: Random, config: RobotConfig) -> Entry:
+def _all_kinds(config: RobotConfig) -> list[FaultKind]:
+    return [*ANY_FAULT, *(SENSOR_FAULTS if faults.sensors(config) else ())]
+
+
+def _fault(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind] | None) -> Entry:
+    """One of these kinds, or of all."""
     brief = chance.random() < 0.5
     sensing = faults.sensors(config)
-    kind = chance.choice(LOSSES if brief else [*ANY_FAULT, *(SENSOR_FAULTS if sensing else ())])
+    kind = chance.choice(LOSSES if brief else kinds or _all_kinds(config))
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):

@@ -22,7 +22,7 @@ from tests.test_laws_can_fail import ROWS, Removed
 from tests.world import robot_text
 
 CYCLES = 400_000
-SECONDS = 12.0
+SECONDS = 16.0  # more than somebody holds a robot that was asked to stand up
 
 
 def search(row: Removed, *, cycles: int, seed: int) -> Found | None:
@@ -38,9 +38,10 @@ def main() -> int:
     """Prints a line per rule."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycles", type=int, default=CYCLES, help="after which it is given up")
+    parser.add_argument("--only", default="", help="part of a rule's name")
     parser.add_argument("--seed", type=int, default=1, help="number of the first drive")
     wanted = parser.parse_args()
-    rows = [row for row in ROWS if row.law in LAWS]
+    rows = [row for row in ROWS if row.law in LAWS and wanted.only in row.remove.__name__]
     missed = 0
     print("rule that is gone                robot            cycles    time  entries  seconds  drives  law")
     for row in rows:

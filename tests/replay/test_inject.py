@@ -100,7 +100,7 @@ def test_a_campaign_finds_a_rule_that_is_gone_and_writes_a_test(
 ) -> None:
     with monkeypatch.context() as patch:
         row.remove(patch)
-        found = campaign([commanded(row)], cycles=60_000, seed=1).found
+        found = campaign([commanded(row)], cycles=60_000, seed=5).found
         assert found is not None
         assert found.law == row.law
         assert len(found.shrunk.scenario.at) <= 6
