@@ -58,6 +58,9 @@ ROOMS: dict[str, set[str]] = {
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
+    "replay/report": {
+        *("ground", "robot file", "gateway/core", "gateway/recording", "replay/sessions", "replay/compare"),
+    },
     "replay/logs": {
         *("drivers", "ground", "robot file", "gateway/core"),
         *("replay/sessions", "replay/compare", "replay/drive"),
