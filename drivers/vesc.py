@@ -157,8 +157,11 @@ STATUS_SIZE: Final = 8
 
 EXPIRED: Final = DriverFault("host_silent", "no command for longer than its command timeout", latched=False)
 KILL_SWITCH: Final = DriverFault("kill_switch", "its kill switch is on", latched=False)
+LEAST_SUPPLY: Final = (
+    0.5  # of the voltage in the robot file: with less told, a duty would be far too much if it is wrong
+)
 NO_VOLTAGE: Final = DriverFault(
-    "no_voltage", "tells an input voltage of 0 V, so no duty gives a voltage", latched=False
+    "no_voltage", "tells an input voltage of 0 V, or of less than half the supply, so no duty is sure", latched=False
 )
 UNSEEN: Final = DriverFault(
     "watchdog_unverified", "did not tell whether its command timeout expires: firmware too old?", latched=False
@@ -185,6 +188,7 @@ class _Motor:
         "fault",
         "heard_ns",
         "kind",
+        "least_voltage",
         "min_erpm",
         "next_question_ns",
         "position",
@@ -235,6 +239,7 @@ class _Motor:
         self.turned_counts = 0
         self.position: float | None = None
         self.voltage: float | None = None
+        self.least_voltage = LEAST_SUPPLY * (spec.supply or 0.0)
         self.temperature_c: float | None = None
         self.twins = TwinWatch(spec)
 
@@ -381,7 +386,7 @@ class _Motor:
             return self.duty_zero_frame if -self.min_erpm < erpm < self.min_erpm else self._frame(SET_RPM, erpm)
         if kind is _TORQUE:
             return self._frame(SET_CURRENT, _truncated(value * self.raw_per_torque, self.current_limit))
-        if kind is _VOLTAGE and self.voltage:
+        if kind is _VOLTAGE and self.voltage is not None and self.voltage > self.least_voltage:
             return self._frame(SET_DUTY, _truncated(value / self.voltage * DUTY_SCALE, int(DUTY_SCALE)))
         return self.stop_frame if kind is _BRAKE else self.coast_frame
 
@@ -414,7 +419,7 @@ class _Motor:
         """Why it may not, if it is heard."""
         if self.fault is not None:
             return self.fault
-        if self.kind is _VOLTAGE and self.voltage is not None and self.voltage <= 0.0:
+        if self.kind is _VOLTAGE and self.voltage is not None and self.voltage <= self.least_voltage:
             return NO_VOLTAGE
         return UNSEEN if self.check_failed else None
 

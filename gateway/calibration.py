@@ -20,6 +20,7 @@ from gateway.config import RobotConfig
 from gateway.control.launch import FRICTION, LEAST_FRICTION, LOOKS, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
 from gateway.core.settings import SPEED_OVERRIDE
+from gateway.edges.messages import StateMessage
 from gateway.types import ZERO_TWIST, Mode, Status
 
 FIRST: Final = 0.5  # of what the robot file says: where the first round along an axis begins
@@ -28,6 +29,7 @@ FINE: Final = 1.05  # in the others
 HARDER: Final = 1.15  # than where wheels began to slip: what the floor gives is told there
 _SAME: Final = 1e-3  # of a friction
 DWELL: Final = 0.15  # s of the full push; slip is looked for every 0.04 s
+RESTING: Final = (Mode.IDLE, Mode.STARTING, Mode.STOPPING)  # of a robot that was told nothing for a moment
 TRIES: Final = 10  # of a launch in which nobody looked for slip: a loop that is late does not, for a while
 
 
@@ -179,37 +181,41 @@ class Driver:
         self._client = client
         self._source = source
         self._given = given
+        self._driven = False
 
     def __call__(self, launch: Launch) -> float:
         """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError.
 
-        One that was not looked at says nothing of the floor, and is done again.
+        One that was not looked at, or not driven to its end, says nothing of the floor, and is done again.
         """
         for _ in range(TRIES):
             before = self._fact(LOOKS)
-            friction = self._launch(launch)
-            if friction < launch.friction or self._fact(LOOKS) > before:
-                return friction
+            if self._launch(launch):
+                friction = self._fact(FRICTION)
+                if friction < launch.friction or self._fact(LOOKS) > before:
+                    return friction
         raise CalibrationError(
             f"in {TRIES} launches nothing could tell slip: the loop of the service is late too often, or motors tell "
             "their torque less than a hundred times a second"
         )
 
-    def _launch(self, launch: Launch) -> float:
+    def _launch(self, launch: Launch) -> bool:
+        """Whether it was driven to its end; else a command was late. Nothing that waits stands between its commands."""
         client, source = self._client, self._source
         answer = client.set(FRICTION, launch.friction, ANSWER_TIMEOUT_S)
         if not answer.ok:
             raise CalibrationError(f"setting {FRICTION} = {launch.friction:.3f}: {answer.reason}")
+        self._driven = True
         if not start(client, source):
             raise CalibrationError(f"does not start: {objection(client, source) or 'it drove too late'}")
-        self._whole()
+        _check(client.state())
         vx, vy = (launch.speed, 0.0) if launch.axis is Axis.X else (0.0, launch.speed)
         reason = stream(client, source, vx, vy, 0.0, seconds=launch.seconds)
         if not rest(client, source):
             raise CalibrationError(f"did not come to rest within {REST_TIMEOUT_S:g} s")
-        if reason is not None:
+        if reason is not None and _check(client.state()).mode not in RESTING:
             raise CalibrationError(reason)
-        return self._fact(FRICTION)
+        return reason is None
 
     def _fact(self, name: str) -> float:
         """Of the chassis, as a whole robot tells it. Raises CalibrationError."""
@@ -223,18 +229,22 @@ class Driver:
 
         What was tried last may be far more than the floor gives.
         """
-        self._client.send_twist(*ZERO_TWIST, source=self._source)
+        if self._driven:
+            self._client.send_twist(*ZERO_TWIST, source=self._source)
         self._client.set(FRICTION, self._given, ANSWER_TIMEOUT_S)
 
     def _whole(self) -> Status:
-        """Of a robot with all its motors and all its speed: no other is launched. Raises CalibrationError."""
-        state = self._client.status(ANSWER_TIMEOUT_S)
-        if state is None:
-            raise CalibrationError(f"the robot did not tell its state within {ANSWER_TIMEOUT_S:g} s")
-        status = state.status
-        if status.mode is Mode.DEGRADED:
-            raise CalibrationError(f"mode {status.mode.value}: {status.reason}")
-        for setting in status.settings:
-            if setting.name == SPEED_OVERRIDE.name and setting.value < 1.0:
-                raise CalibrationError(f"{setting.name} = {setting.value:g}: must be 1 for it")
-        return status
+        return _check(self._client.status(ANSWER_TIMEOUT_S))
+
+
+def _check(state: StateMessage | None) -> Status:
+    """Of a robot with all its motors and all its speed: no other is launched. Raises CalibrationError."""
+    if state is None:
+        raise CalibrationError(f"the robot did not tell its state within {ANSWER_TIMEOUT_S:g} s")
+    status = state.status
+    if status.mode is Mode.DEGRADED:
+        raise CalibrationError(f"mode {status.mode.value}: {status.reason}")
+    for setting in status.settings:
+        if setting.name == SPEED_OVERRIDE.name and setting.value < 1.0:
+            raise CalibrationError(f"{setting.name} = {setting.value:g}: must be 1 for it")
+    return status

@@ -79,6 +79,20 @@ def test_a_voltage_is_a_share_of_the_voltage_that_was_told_last() -> None:
         assert text == f"00000003#{share:08X}"
 
 
+@pytest.mark.parametrize(("supply", "voltage", "given"), [(24.0, 11.9, False), (24.0, 12.1, True), (None, 0.1, True)])
+def test_far_less_than_the_supply_of_the_robot_file_is_no_voltage(
+    supply: float | None, voltage: float, given: bool
+) -> None:
+    """One broken message would else give full duty."""
+    volts = MotorCommand(CommandKind.VOLTAGE, 5.0)
+    bench, fake = driven(volts, spec("vesc")._replace(supply=supply))
+    fake.voltage = voltage
+    bench.run(volts, ms=8)
+    frames = set(setpoints(bench.run(volts, ms=20)))
+    assert all(frame.startswith("00000003#") for frame in frames) is given
+    assert (told(bench).state is MotorState.OPERATIONAL) is given
+
+
 def test_without_an_input_voltage_no_voltage_is_given_and_the_reason_told() -> None:
     bench, fake = driven(MotorCommand(CommandKind.VOLTAGE, 5.0))
     fake.voltage = 0.0

@@ -32,15 +32,17 @@ def answered(
 ) -> tuple[int, dict[str, object]]:
     """Exit code and document, of a call whose standard input is a terminal. `interrupted`: while the robot moves."""
     person, terminal = pty.openpty()
-    with subprocess.Popen(command(robot, file), stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as call:
+    heeding = ["env", "--default-signal=INT"]  # what a shell starts in the background ignores Ctrl-C
+    said = [*heeding, *command(robot, file)]
+    with subprocess.Popen(said, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as call:
         os.write(person, f"{answer}\n".encode())
         if interrupted:
             robot.await_state(faster_than(0.1), timeout=60.0)
             call.send_signal(signal.SIGINT)
-        said, _ = call.communicate(timeout=180)
+        told, _ = call.communicate(timeout=180)
     os.close(terminal)
     os.close(person)
-    return call.returncode, json.loads(said.splitlines()[-1])
+    return call.returncode, json.loads(told.splitlines()[-1])
 
 
 def await_setting(robot: RobotProcess, name: str, value: float) -> None:

@@ -10,11 +10,12 @@ from unittest.mock import Mock
 
 import pytest
 
+from gateway import calibration
 from gateway.calibration import HARDER, TRIES, Axis, CalibrationError, Driver, Found, Launch, Plans, find
 from gateway.cli import calibrate
 from gateway.config import load, parse
 from gateway.control.launch import FRICTION, LOOKS, SAFE
-from gateway.types import ZERO_TWIST, Facts, Request, RequestKind, Twist
+from gateway.types import ZERO_TWIST, Facts, Mode, Request, RequestKind, Twist
 from tests.world import World, robot_text
 
 STEP = 1.05  # from launch to launch
@@ -120,17 +121,17 @@ class Unseen:
     def __init__(self, late: int) -> None:
         self.late, self.launches, self.looks = late, 0, 0.0
 
-    def drive(self, launch: Launch) -> float:
+    def drive(self, _: Launch) -> bool:
         self.launches += 1
         self.looks += self.launches > self.late
-        return launch.friction
+        return self.launches > self.late // 2
 
 
 @pytest.mark.parametrize("late", [0, 3, TRIES])
 def test_a_launch_that_was_not_looked_at_is_done_again(monkeypatch: pytest.MonkeyPatch, late: int) -> None:
     robot = Unseen(late)
     monkeypatch.setattr(Driver, "_launch", lambda _, launch: robot.drive(launch))
-    monkeypatch.setattr(Driver, "_fact", lambda _, name: {LOOKS: robot.looks}[name])
+    monkeypatch.setattr(Driver, "_fact", lambda _, name: {LOOKS: robot.looks, FRICTION: 0.4}[name])
     driver = Driver(Mock(), "teleop", 0.8)
     launch = Launch(Axis.X, 0.4, 1.0, 0.3)
     if late < TRIES:
@@ -139,6 +140,38 @@ def test_a_launch_that_was_not_looked_at_is_done_again(monkeypatch: pytest.Monke
     else:
         with pytest.raises(CalibrationError, match="nothing could tell slip"):
             driver(launch)
+
+
+def test_nothing_that_waits_stands_between_the_commands_of_a_launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy computer a question takes longer than a source may be silent: the robot would be at rest again."""
+    said: list[str] = []
+
+    def saying(name: str, answer: object) -> Callable[..., object]:
+        def say(*_: object, **__: object) -> object:
+            said.append(name)
+            return answer
+
+        return say
+
+    client = Mock()
+    client.set.side_effect = saying("set", Mock(ok=True))
+    client.status.side_effect = saying("ask", None)
+    client.state.return_value.status = Mock(mode=Mode.IDLE, settings=())
+    for name, answer in (("start", True), ("stream", "mode idle: waiting"), ("rest", True)):
+        monkeypatch.setattr(calibration, name, saying(name, answer))
+    driver = Driver(client, "teleop", 0.8)
+    assert not driver._launch(Launch(Axis.X, 0.4, 1.0, 0.3)), "what was late is done again"
+    assert said == ["set", "start", "stream", "rest"]
+    client.state.return_value.status.mode = Mode.ESTOP
+    with pytest.raises(CalibrationError, match="mode idle: waiting"):
+        driver._launch(Launch(Axis.X, 0.4, 1.0, 0.3))
+
+
+def test_a_robot_that_was_not_driven_is_not_armed_to_put_back_what_was_set() -> None:
+    client = Mock()
+    Driver(client, "teleop", 0.8).put_back()
+    client.send_twist.assert_not_called()
+    client.set.assert_called_once()
 
 
 def test_looks_are_told_and_need_a_full_push_and_time() -> None:

@@ -31,8 +31,7 @@ def test_motors_that_give_all_their_torque_hold_the_setpoint_back() -> None:
     world.start()
     begin = len(world.records)
     world.run(3.0, Twist(1.5, 0.0, 0.0))
-    assert "torque" in limits_at_work(world.records[begin:])
-    assert furthest_behind(world.records[begin:]) < 0.08 * 45.0
+    assert furthest_behind(world.records[begin:]) < 0.03 * 45.0  # by their lag alone it would be held at 0.05 and more
     assert world.last.trace.setpoint.vx > 1.0, "it gets there all the same"
     assert world.is_in(Mode.DRIVE)
 

@@ -1,7 +1,7 @@
 """The no-slip launch: on a floor that gives so much and no more, in eight directions, and by what each motor can."""
 
 from collections.abc import Sequence
-from math import cos, pi, sin, sqrt
+from math import cos, hypot, pi, sin, sqrt
 
 import pytest
 
@@ -11,7 +11,7 @@ from gateway.config import ConfigError, parse
 from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import JointCommand, Measured, SpeedLaw
 from gateway.control.grip import Grip, part_of
-from gateway.control.launch import LaunchLaw, Pusher
+from gateway.control.launch import MARGIN, LaunchLaw, Pusher
 from gateway.control.launch_slip import Losses
 from gateway.control.limits import TwistLimiter, turning_excess
 from gateway.control.transmission import Winding
@@ -77,7 +77,15 @@ def test_a_floor_on_which_a_commanded_stop_takes_too_long_is_refused() -> None:
 LIMITS = (9.0, 9.0, 30.0)
 
 
-def launch_law(pusher: Pusher, *, friction: float = 0.6, height: float = 0.1, inertia: float = 0.0) -> LaunchLaw:
+def launch_law(
+    pusher: Pusher,
+    *,
+    friction: float = 0.6,
+    height: float = 0.1,
+    inertia: float = 0.0,
+    losses: tuple[float, float] = (0.0, 0.0),
+) -> LaunchLaw:
+    """`losses`: N m s/rad and N m of each wheel."""
     robot = parse(robot_text("omni4"), "omni4").robot
     assert isinstance(robot, OmniRobot)
     kinematics = robot.kinematics()
@@ -88,7 +96,7 @@ def launch_law(pusher: Pusher, *, friction: float = 0.6, height: float = 0.1, in
         grip=Grip(kinematics.rim_matrix, places, mass=MASS, inertia=0.9, height=height),
         friction=friction,
         radii=[RADIUS] * 4,
-        losses=Losses(inertia, 0.0, 0.0),
+        losses=Losses(inertia, *losses),
         acceleration=LIMITS,
         top_speeds=[45.0] * 4,
         pushers=[pusher] * 4,
@@ -171,6 +179,101 @@ def test_torque_is_held_after_a_launch_until_it_brakes_or_all_is_forgotten(ended
         law.forget_told()
     for braking in (ended == "braking", False):
         assert {one.limit for one in law.motion(steady, pushing, braking=braking).commands} == {None}
+
+
+TOLD = Pusher(True, True, hosted=False, torque=4.5)
+
+
+def pushes(law: LaunchLaw, setpoints: Sequence[Twist]) -> list[float]:
+    """The largest torque that a wheel is told besides its speed, at each of these."""
+    found = []
+    for setpoint in setpoints:
+        law.ground(whole=True)
+        turning = law._speeds.speeds_at(setpoint, (), braking=False)[0]
+        commands = law.motion(setpoint, measured(turning), braking=False).commands
+        found.append(max(abs(one.feed_forward) for one in commands))
+    return found
+
+
+def test_a_setpoint_that_jumps_was_put_elsewhere_and_is_no_push() -> None:
+    limit, step = LIMITS[0] * DT, [Twist(0.5, 0.0, 0.0)]
+    assert pushes(launch_law(TOLD), [*step, Twist(0.5 + 1.1 * limit, 0.0, 0.0)])[-1] > 0.0
+    assert pushes(launch_law(TOLD), [*step, Twist(0.5 + 1.3 * limit, 0.0, 0.0)])[-1] == 0.0
+
+
+def test_what_the_wheels_cannot_turn_is_no_push() -> None:
+    """Beyond their top speed the setpoint grows and they do not."""
+    top = 45.0 * RADIUS / sqrt(0.75)
+    below, beyond = ([Twist(part * top + 0.016 * n, 0.0, 0.0) for n in range(3)] for part in (0.9, 1.1))
+    assert pushes(launch_law(TOLD), below)[-1] > 0.0
+    assert pushes(launch_law(TOLD), beyond)[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_effort_is_never_more_than_the_limits() -> None:
+    law, still = launch_law(TOLD, friction=2.0, height=0.0), (0.0, 0.0, 0.0)
+    assert law.effort(still, LIMITS, still) < 1.0
+    slow = (2.0, 0.0, 0.0)
+    assert law.effort(still, slow, still) == 1.0
+    assert law.effort((0.0, 0.0, 0.1), slow, still) == 1.0, "in a curve too"
+
+
+def test_no_wheel_is_to_leave_the_floor() -> None:
+    """A high robot on a floor that grips well, sped up askew: the wheel ahead carries nothing from there on."""
+    law = launch_law(TOLD, friction=2.0, height=0.5)
+    grip, (x, y) = law._grip, (cos(pi / 4), sin(pi / 4))
+    shifts = [x * along + y * across for along, across in grip.shifts]
+    lifting = min(rest / -shift for rest, shift in zip(grip.resting, shifts, strict=True) if shift < 0.0)
+    way = (LIMITS[0], LIMITS[1], 0.0)  # as far as the limits go
+    assert lifting < 0.8 / part_of([cone.limit for cone in grip.cones(2.0)], (x, y, 0.0)), "friction alone gives more"
+    for rates in ((0.0, 0.0, 0.0), (0.0, 0.0, 1e-9)):
+        assert law.effort(rates, way, (0.0, 0.0, 0.0)) == pytest.approx(MARGIN * lifting / hypot(*way))
+
+
+def test_a_wheel_may_have_what_does_not_reach_the_floor_besides() -> None:
+    friction, drag, speed = 0.02, 0.15, 4.0 * DT * 3 * sqrt(0.75) / RADIUS
+    plain, lossy = (ramp(launch_law(TOLD, losses=losses), 4.0, 3)[-1] for losses in ((0.0, 0.0), (friction, drag)))
+    for one, other in zip(plain, lossy, strict=True):
+        assert one.limit is not None
+        assert other.limit is not None
+        assert other.limit - one.limit == pytest.approx(friction * speed + drag)
+
+
+def slip_once(law: LaunchLaw) -> list[Event]:
+    """A launch on which the floor pushes back by next to nothing."""
+    found: list[Event] = []
+    law.forget_told()
+    for cycle in range(60):
+        setpoint = (1.0 + 4.0 * DT * cycle, 0.0, 0.0)
+        turning = law._speeds.speeds_at(setpoint, (), braking=False)[0]
+        law.ground(whole=True)
+        found += law.motion(setpoint, measured(turning, [0.05 + 0.001 * cycle] * 4), braking=False).events
+    return found
+
+
+def test_no_slip_teaches_less_than_a_quarter_of_the_friction_that_was_given() -> None:
+    law = launch_law(TOLD, inertia=0.004)
+    for given in (0.6, 0.8, 0.4):
+        law.set("friction", given)
+        learned = [law.friction]
+        for _ in range(40):
+            slip_once(law)
+            learned.append(law.friction)
+        assert learned[0] == given
+        assert min(learned) == learned[-1] == pytest.approx(0.25 * given)
+        assert not slip_once(law), "there is nothing left to learn"
+
+
+@pytest.mark.parametrize(("torque", "dead"), [(4.5, True), (1.2, False)])
+def test_a_wheel_that_has_caught_up_is_held_back_no_longer(torque: float, dead: bool) -> None:
+    """After a launch: one that still takes nearly all that it may is, one that takes less is not."""
+    law = launch_law(TOLD)
+    ramp(law, 3.0, 5)
+    steady = (3.0 * DT * 5, 0.0, 0.0)
+    limits = []
+    for _ in range(3):
+        law.ground(whole=True)
+        limits.append(law.motion(steady, measured([0.0] * 4, [torque] * 4), braking=False).commands[0].limit)
+    assert (limits[-1] is not None) is dead
 
 
 HOSTED = Pusher(True, True, hosted=True, torque=4.5)

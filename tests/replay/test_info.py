@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 from gateway.cli.app import build
 from gateway.core.engine import Engine
 from gateway.recording.disk import segment_path
+from gateway.recording.header import git_commit
 from gateway.types import Level, RequestKind, Twist
 from replay.sessions.reader import open_session
 from replay.sessions.summary import summary
@@ -84,7 +85,7 @@ def test_the_command(recorded: Path) -> None:
     told = json.loads(result.stdout.splitlines()[-1])
     assert result.exit_code == 0
     assert told["complete"]
-    assert told["commit"]
+    assert told["commit"] == git_commit(), "none where there is no checkout"
     assert told["began"] == "2026-09-21T14:29:55.123+00:00"
     assert STARTED_NS // 10**9 == 1_790_000_000  # 14:13:20; the first cycle is 995 s after it, by its own clock
     assert asked(recorded).exit_code == 0

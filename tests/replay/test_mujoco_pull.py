@@ -159,7 +159,7 @@ def test_a_pulled_chassis_flips_in_the_time_that_the_law_says(error: float, seco
 
 
 def test_it_flips_in_that_time_at_top_speed_through_the_service_path() -> None:
-    """Uncompensated, from 0.02 degrees at rest, which grow while it gets fast; within 10 % is asked (issue 8).
+    """Uncompensated, from 0.02 degrees at rest, which grow while it gets fast; within 10 % is asked.
 
     Measured 1.127, 0.839 and 0.359 s: within 0.7 %, of 4 ms loop, age of the feedback and lag of the controllers.
     """
