@@ -11,8 +11,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.cli.replay_verify import verify_with_progress
 from gateway.config import ConfigError
+from replay.compare.differences import differences
 from replay.compare.fleet import Judged
-from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, Verdict, not_replayable
+from replay.compare.verify import EXIT_DIFFERENT, EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, not_replayable
 from replay.sessions.reader import Session, SessionError, open_session
 from replay.sessions.summary import Summary, summary
 
@@ -27,49 +28,62 @@ def report(
     out: Annotated[Path, typer.Option("--out", "-o", help="The page.")] = Path("report.html"),
     json: Annotated[bool, typer.Option("--json", help="Machine-readable: what was written.")] = False,
 ) -> None:
-    """Write one page about a session: verdict, path, modes and faults, wheel speeds, slip, latency, versions.
+    """Write one page about a session: verdict, path, modes, commands, events, wheel speeds, slip, latency, versions.
 
-    The page needs nothing but itself, no network and no other file. Of a long drive it draws the least and the greatest
-    value of each stretch, and says so. Exit 0: written, 2: not written, 3: written, and the recording is incomplete.
+    The page needs nothing but itself: no network, no script, no other file. Of a long drive it shows the least and the
+    greatest value of each stretch, and says so. A session that is incomplete, that differs or that cannot be verified
+    has a page that says it. Exit 0: written, 2: not written, 3: written, and the recording is incomplete.
 
-    --json: report (the file), bytes, verdict (as `drivegate replay verify` names it), complete, cycles, seconds.
+    --json: report (the file), bytes, verdict (as `drivegate replay verify` names it), exit_code (its own), complete,
+    cycles, seconds; problem instead of them where nothing was written.
     """
     try:
         opened = open_session(session)
-        verdict = _verified(opened)
+        _check(out, opened)
         told = summary(opened.again())
-        judged = Judged(str(session), told.robot, verdict, 0.0, None)
-        text = _page(opened, told, judged)
-    except SessionError as error:
-        complain(str(error))
+        judged = _judged(opened, told, str(session))
+        size = _write(out, _page(opened, told, judged))
+    except (SessionError, OSError) as error:
+        problem = f"{out}: cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
+        if json:
+            print_json({"problem": problem})
+        complain(problem)
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
-    size = _write(out, text, opened)
     if json:
-        found = {"report": str(out), "bytes": size, "verdict": judged.word, "complete": told.complete}
-        print_json(found | {"cycles": told.cycles, "seconds": told.seconds})
+        found = {"report": str(out), "bytes": size, "verdict": judged.word, "exit_code": judged.verdict.exit_code}
+        print_json(found | {"complete": told.complete, "cycles": told.cycles, "seconds": told.seconds})
     else:
         console.print(f"{out}: {judged.word}, {told.seconds:g} s, {size} bytes", highlight=False, markup=False)
     raise typer.Exit(0 if told.complete else EXIT_INCOMPLETE)
 
 
-def _verified(session: Session) -> Verdict:
+def _check(out: Path, session: Session) -> None:
+    """Before an hour is spent. Raises SessionError."""
+    if out.resolve() in {segment.resolve() for segment in session.segments}:
+        raise SessionError(f"--out {out}: is of the session itself")
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise SessionError(f"--out {out}: cannot be written: give a file in a directory that exists")
+
+
+def _judged(session: Session, told: Summary, path: str) -> Judged:
     """A robot file that is refused is a verdict as well."""
+    found = None
     try:
-        return verify_with_progress(session)
+        verdict = verify_with_progress(session)
+        if verdict.exit_code == EXIT_DIFFERENT:
+            found = differences(session.again())
     except ConfigError as error:
-        return not_replayable(str(error))
+        verdict = not_replayable(str(error))
+    return Judged(path, told.robot, verdict, 0.0, found)
 
 
 def _page(session: Session, told: Summary, judged: Judged) -> str:
-    """Raises SessionError."""
-    from replay.report.gather import drive, timing  # noqa: PLC0415  # only here, to keep the other commands fast
+    from replay.report.gather import drive  # noqa: PLC0415  # only here, to keep the other commands fast
     from replay.report.page import page  # noqa: PLC0415
+    from replay.report.timing import timing  # noqa: PLC0415
 
-    try:
-        with _progress(told.cycles) as progress:
-            driven = drive(session.again(), told, progress)
-    except ConfigError:  # the verdict says so
-        driven = None
+    with _progress(told.cycles) as tell:
+        driven = drive(session.again(), told, tell)
     return page(told, judged, driven, timing(session.again()))
 
 
@@ -82,15 +96,8 @@ def _progress(cycles: int) -> Iterator[Callable[[int], None]]:
         yield lambda more: progress.advance(task, more)
 
 
-def _write(out: Path, text: str, session: Session) -> int:
-    """Bytes written."""
-    if out.resolve() in {segment.resolve() for segment in session.segments}:
-        complain(f"--out {out}: is of the session itself")
-        raise typer.Exit(EXIT_NOT_REPLAYABLE)
+def _write(out: Path, text: str) -> int:
+    """Bytes written. Raises OSError."""
     data = text.encode("utf-8", errors="replace")
-    try:
-        out.write_bytes(data)
-    except OSError as error:
-        complain(f"{out}: cannot be written: {error.strerror}")
-        raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
+    out.write_bytes(data)
     return len(data)
