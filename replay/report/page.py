@@ -86,6 +86,7 @@ def page(summary: Summary, judged: Judged, driven: Drive, timing: Timing | None)
             for one in driven.said.commanders.values()
         ],
         refused_rows=[(why, f"{times:,}") for why, times in driven.said.refused.items()],
+        gap_rows=[(f"{gap.first_cycle:,}", f"{gap.last_cycle:,}", gap.reason) for gap in summary.gaps],
         driven=driven,
         few=few,
         plain=_plain,
@@ -112,12 +113,13 @@ def _tiles(summary: Summary, driven: Drive) -> list[Tile]:
         Tile("missing", "cycles missing", f"{missing:,}"),
         Tile("received", "frames received", f"{summary.frames_received:,}"),
         Tile("sent", "frames sent", f"{summary.frames_sent:,}"),
+        Tile("commanded", "commands heard", f"{sum(one.commands for one in driven.said.commanders.values()):,}"),
         Tile("errors", "errors", f"{faults['error']:,}"),
         Tile("warnings", "warnings", f"{faults['warning']:,}"),
     ]
     if motion is not None:
         tiles.append(Tile("distance", "driven, by odometry", _plain(motion.track.distance), "m"))
-        tiles.append(Tile("speed", "top speed measured", _plain(motion.top_speed), "m/s"))
+        tiles.append(Tile("speed", "top speed measured", _plain(motion.top_speed), "m/s" if motion.top_speed else ""))
     return tiles
 
 
@@ -177,4 +179,4 @@ def _latencies(timing: Timing) -> list[tuple[str, str, list[str]]]:
 
 
 def _row(told: Latency) -> list[str]:
-    return [*(f"{told.below(percent):,.0f}" for percent in PERCENTS), f"{told.most:,.1f}"]
+    return [*(f"{told.below(percent):,.0f}" for percent in PERCENTS), f"{told.most:,.0f}"]
