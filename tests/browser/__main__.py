@@ -14,7 +14,7 @@ from math import cos, hypot, sin
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Error, Page
 
 from tests.browser.debian import NoBrowserError, browser
 from tests.browser.pages import HOSTILE, KINDS, Told, reports
@@ -25,6 +25,7 @@ THEMES = ("light", "dark")
 PAPER = (794, 1123)  # A4 at 96 px per inch
 LARGEST = 3_000_000
 LEAST_PDF = 20_000
+ATTEMPTS = 5
 PIXELS = 2.0  # what is measured in a picture is as good as that
 PLOTS = {"Wheel speeds": ("commanded.", "speed."), "Body velocity": ("_wanted", "_measured")}
 
@@ -135,6 +136,18 @@ def _curve(curve: dict[str, Any], told: Told) -> Faults:
         yield f"{label} is drawn from {curve['first']:.3f} to {curve['last']:.3f} s, and was {times[0]} to {times[-1]}"
 
 
+def take(page: Page, picture: Path) -> None:
+    """A picture of all of it. On a busy machine the browser now and then cannot, and can at the next attempt."""
+    for attempt in range(ATTEMPTS):
+        try:
+            page.screenshot(path=picture, full_page=True)
+        except Error:
+            if attempt == ATTEMPTS - 1:
+                raise
+        else:
+            return
+
+
 def faults_of(at: Browser, told: Told, keep: Path | None) -> Faults:
     """Of one page, in every way in which it is looked at."""
     if keep is not None:
@@ -149,7 +162,7 @@ def faults_of(at: Browser, told: Told, keep: Path | None) -> Faults:
             if theme == THEMES[0]:
                 found += [*texts(page, told), *drawn(page, told)]
             if keep is not None:
-                page.screenshot(path=keep / f"{told.name}-{theme}-{size[0]}.png", full_page=True)
+                take(page, keep / f"{told.name}-{theme}-{size[0]}.png")
             found += alone(page, [])
             yield from (f"{theme}, {size[0]} px: {fault}" for fault in found)
             page.close()

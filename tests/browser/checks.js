@@ -44,6 +44,12 @@ window.checks = (() => {
         for (let j = i + 1; j < boxes.length; j += 1)
           if (clash(boxes[i][1], boxes[j][1])) found.push(`${boxes[i][0].textContent.slice(0, 30)} and ${boxes[j][0].textContent.slice(0, 30)}`);
     }
+    for (const one of all(".on")) {
+      const words = document.createRange();
+      words.selectNodeContents(one);
+      const box = one.getBoundingClientRect(), text = words.getBoundingClientRect();
+      if (text.top < box.bottom - 1 && (text.left < box.left - 0.5 || text.right > box.right + 0.5)) found.push(`${one.textContent} is cut`);
+    }
     for (const ticks of all(".x")) {
       const right = ticks.closest(".card").getBoundingClientRect().right;
       for (const one of ticks.children) if (one.getBoundingClientRect().right > right) found.push(`${one.textContent} leaves its card`);

@@ -11,7 +11,7 @@ from tests.vm import packages
 PROGRAMS = ("chromium-headless-shell", "chromium")  # the first is half as large, and enough
 FONT = {"/usr/share/fonts/truetype/dejavu/DejaVuSans.ttf": "fonts-dejavu-core"}
 # A page that asks for anything by a name gets no answer, also where there is a network.
-OPTIONS = ["--no-sandbox", "--disable-gpu", "--host-resolver-rules=MAP * ~NOTFOUND", "--disable-background-networking"]
+OPTIONS = ["--no-sandbox", "--host-resolver-rules=MAP * ~NOTFOUND", "--disable-background-networking"]
 
 
 class NoBrowserError(Exception):
