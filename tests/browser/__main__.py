@@ -1,4 +1,4 @@
-"""Opens reports of every kind of session in Debian's Chromium: `python -m tests.browser [--keep DIR]`.
+"""Opens reports of every kind of session in Debian's Chromium: `python -m tests.browser [--keep DIR] [NAME...]`.
 
 Each page, in both themes, as wide as a screen and as a telephone, and printed: asks for nothing, says nothing on the
 console, has figures with something in them, leaves its edges nowhere, and its words can be read. What it tells must be
@@ -183,13 +183,15 @@ def main() -> int:
     """0 if every page is as it should be; 1 if not, and where there is no browser."""
     parser = argparse.ArgumentParser(prog="python -m tests.browser", description=__doc__)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the pages and pictures of them here")
-    keep: Path | None = parser.parse_args().keep
+    parser.add_argument("name", nargs="*", metavar="NAME", help=f"of {', '.join(KINDS)}; default: all")
+    wanted = parser.parse_args()
+    keep: Path | None = wanted.keep
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     broken = 0
     try:
         with browser() as at, tempfile.TemporaryDirectory() as directory:
-            for told in reports(Path(directory)):
+            for told in reports(Path(directory), wanted.name or KINDS):
                 found = list(faults_of(at, told, keep))
                 broken += len(found)
                 sys.stdout.write(f"{'FAIL' if found else 'PASS'} {told.name}: {told.page.stat().st_size} bytes\n")

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,9 +37,9 @@ class Told(NamedTuple):
     trace: list[dict[str, str]]
 
 
-def reports(directory: Path) -> Iterator[Told]:
-    """One of each kind."""
-    for name in KINDS:
+def reports(directory: Path, names: Iterable[str] = KINDS) -> Iterator[Told]:
+    """One of each of these kinds."""
+    for name in names:
         session, page = _session(name, directory / name), directory / f"{name}.html"
         yield Told(
             name=name,

@@ -105,6 +105,15 @@ def test_every_robot_has_a_page_of_its_own(robot: str, tmp_path: Path) -> None:
     assert {"timeline", "path", "plot-1", "latency", "faults", "commands", "log", "recording"} <= markup.texts.keys()
     for fault in told.faults:
         assert fault.text in markup.texts["faults"]
+    cycles = list(open_session(FOLDER / robot).cycles())
+    assert markup.texts["commanded"] == str(sum(len(inputs.commands) for inputs, _ in cycles))
+    happened = [one for _, outputs in cycles for one in outputs.events]
+    happened_codes = [one.kind.value for inputs, _ in cycles for one in inputs.requests] + [
+        one.code for one in happened
+    ]
+    log = text.partition('<section class="card" id="log">')[2]
+    assert sorted(re.findall(r'<td class="level \w+">\w+</td><td>([^<]*)</td>', log)) == sorted(happened_codes)
+    assert all(one.text in markup.texts["log"] for one in happened)
     drawn = re.findall(r'class="robot (\w+)"', text)
     assert drawn.count("begin") == drawn.count("end") == 1
     assert len(text) < 300_000
