@@ -58,6 +58,9 @@ ROOMS: dict[str, set[str]] = {
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
+    "replay/report": {
+        *("ground", "gateway/chassis", "robot file", "gateway/core", "replay/sessions", "replay/compare"),
+    },
     "replay/logs": {
         *("drivers", "ground", "robot file", "gateway/core"),
         *("replay/sessions", "replay/compare", "replay/drive"),
@@ -106,6 +109,7 @@ PYDANTIC_FILES = {
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib
+PAGE_FILE = "replay/report/page.py"  # the only one that knows Jinja
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 
@@ -186,6 +190,7 @@ def test_core_is_pure(path: Path) -> None:
         assert "pyarrow" not in tops or name(path) == TABLES_FILE
     if name(path) != DRAWING_FILE:
         assert "matplotlib" not in tops
+    assert "jinja2" not in tops or name(path) == PAGE_FILE
     if "pydantic" in tops:
         assert name(path) in PYDANTIC_FILES or room(path) in PYDANTIC_ROOMS
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from gateway.cli import replay_bisect, replay_inject, replay_io
+from gateway.cli import replay_bisect, replay_inject, replay_io, replay_report
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_files import repair
 from gateway.cli.replay_verify import verify
@@ -39,6 +39,7 @@ def _group() -> None:
 replay_bisect.register(replay)
 replay_inject.register(replay)
 replay_io.register(replay)
+replay_report.register(replay)
 replay.command()(repair)
 replay.command()(verify)
 replay.command()(whatif)

@@ -132,6 +132,10 @@ class Layout:
         self._channels = [(channel, len(channel.labels(owners))) for channel in channels if channel.labels(owners)]
         self.labels = [label for channel in channels for label in channel.labels(owners)]
 
+    def sizes(self) -> list[tuple[Channel, int]]:
+        """Each channel with how many labels it has, in their order."""
+        return self._channels
+
     def row(self, trace: Trace) -> list[float | None]:
         """The numbers of a cycle, in the order of the labels."""
         return [number for channel, size in self._channels for number in channel.numbers(trace, size)]

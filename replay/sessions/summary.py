@@ -88,7 +88,7 @@ class _Modes:
             place += len(list(group))
 
     def stays(self, first_ns: int, last_ns: int) -> Iterator[Stay]:
-        ends = [ns for _, ns in self._changes[1:]] + [last_ns]
+        ends = [ns for _, ns in self._changes[1:]] + [last_ns] * bool(self._changes)
         for (mode, begin_ns), end_ns in zip(self._changes, ends, strict=True):
             yield Stay(mode, _seconds(begin_ns - first_ns), _seconds(end_ns - begin_ns))
 

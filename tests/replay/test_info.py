@@ -14,7 +14,7 @@ from gateway.recording.header import git_commit
 from gateway.types import Level, RequestKind, Twist
 from replay.sessions.reader import open_session
 from replay.sessions.summary import summary
-from tests.recordings import STARTED_NS, write_drive
+from tests.recordings import STARTED_NS, write, write_drive
 from tests.world import World
 
 BATCH = 60
@@ -102,6 +102,13 @@ def test_a_gap_and_a_verdict(recorded: Path, tmp_path: Path) -> None:
     assert told["gaps"][0] == {"first_cycle": BATCH, "last_cycle": 2 * BATCH - 1, "reason": "not in the recording"}
     assert (told["verdict"]["exit_code"], told["verdict"]["unseen"]) == (3, 0)
     assert asked(tmp_path).exit_code == 3
+
+
+def test_a_session_without_a_cycle(tmp_path: Path) -> None:
+    result = asked(write(tmp_path, []), "--json")
+    told = json.loads(result.stdout.splitlines()[-1])
+    assert result.exit_code == 2
+    assert (told["began"], told["cycles"], told["modes"]) == (None, 0, [])
 
 
 def test_what_is_no_session(tmp_path: Path) -> None:
