@@ -10,35 +10,16 @@ is shown the same cycles.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from operator import itemgetter
+from typing import Final
 
 from drivers.contract import CanFrame
-from gateway.types import CycleTiming, Event, Inputs, Mode, Outputs, Status, Trace
+from gateway.types import CycleTiming, Inputs, Mode, Outputs, Sample
 
 PLOT_PERIOD_NS: Final = 20_000_000
 PICTURE_PERIOD_NS: Final = 50_000_000
 CAN_PERIOD_NS: Final = 500_000_000
-
-
-class Sample(NamedTuple):
-    """What is drawn of one cycle. It stands for those from `since` on, of which nothing else is drawn.
-
-    `late_ns`, `work_ns`: the worst since the last plotted one. `trace`: of a cycle that is plotted or pictured.
-    """
-
-    since: int
-    cycle: int
-    wall_ns: int
-    mode: Mode
-    plotted: bool
-    pictured: bool
-    late_ns: int
-    work_ns: int
-    trace: Trace | None
-    status: Status | None
-    events: tuple[Event, ...]
-    frames_in: tuple[CanFrame, ...]
-    frames_out: tuple[CanFrame, ...]
+_KEY: Final = itemgetter(CanFrame._fields.index("bus"), CanFrame._fields.index("id"))
 
 
 class Sampler:
@@ -96,11 +77,12 @@ class Sampler:
 
 
 def _first(frames: Sequence[CanFrame], seen: set[tuple[str, int]]) -> tuple[CanFrame, ...]:
-    """Those of which none was seen."""
+    """Those of which none was seen: mostly nothing, and then it is quick."""
+    if seen.issuperset(map(_KEY, frames)):
+        return ()
     found: list[CanFrame] = []
     for frame in frames:
-        key = (frame.bus, frame.id)
-        if key not in seen:
-            seen.add(key)
+        if (frame.bus, frame.id) not in seen:
+            seen.add((frame.bus, frame.id))
             found.append(frame)
     return tuple(found)

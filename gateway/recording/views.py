@@ -17,12 +17,12 @@ import rerun as rr
 from gateway.config import RobotConfig
 from gateway.core.channels import Layout, channels_of, entities, owners
 from gateway.core.frame_words import FrameWords
-from gateway.core.samples import Sample, Sampler
+from gateway.core.samples import Sampler
 from gateway.recording.columns import Times, arrays
 from gateway.recording.packets import Gap, Record
 from gateway.recording.schema import STATUS_ARCHETYPE, STATUS_COLUMNS, STATUS_PATH, status_row
 from gateway.recording.shapes import CHASSIS_PATH, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
-from gateway.types import Event, Level, Mode, Pose, Trace, Twist
+from gateway.types import Event, Level, Mode, Pose, Sample, Trace, Twist
 
 CHANNELS_ROOT = "/trace"
 LOOP = "/trace/loop"

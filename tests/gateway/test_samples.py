@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.contract import CanFrame
-from gateway.core.samples import CAN_PERIOD_NS, PICTURE_PERIOD_NS, PLOT_PERIOD_NS, Sample, Sampler
+from gateway.core.samples import CAN_PERIOD_NS, PICTURE_PERIOD_NS, PLOT_PERIOD_NS, Sampler
 from gateway.recording.packets import Record
-from gateway.types import CycleTiming, Event, Level, Mode
+from gateway.types import CycleTiming, Event, Level, Mode, Sample
 from tests.drives import drive
 
 BLANK = next(drive(1))
