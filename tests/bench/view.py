@@ -2,10 +2,11 @@
 
 How this works
 --------------
-One service at 1 kHz with link and recorder, and the simulated robot in a process of its own, as in `live`. Onlookers are
-processes that subscribe to the view. The frozen one is stopped by a signal, and has told Zenoh that it may be silent for
-an hour, so that nobody throws it out. The conditions take turns in short rounds, so that the machine's moods meet all of
-them. The loop's lateness and the processor time of the whole service are compared with those of nobody looking on.
+One service at 1 kHz with link and recorder, and the simulated robot in a process of its own, as in `live`. Onlookers
+are processes that subscribe to the view. The frozen one is stopped by a signal, and has told Zenoh that it may be
+silent for an hour, so that nobody throws it out. The conditions take turns in short rounds, so that the machine's moods
+meet all of them. The loop's lateness and the processor time of the whole service are compared with those of nobody
+looking on. Its memory grows by the notes of this measurement, so that too is compared.
 """
 
 import os
@@ -79,7 +80,7 @@ class Stand:
         self._pid = pid
 
     def memory_kb(self, frozen: bool) -> float:
-        """By how much the service's memory grows, nobody looking on or one who is frozen."""
+        """By how much the service's memory grows, with nobody looking on or with one who is frozen."""
         if not frozen:
             return self._growth()
         with onlooker(self._endpoint) as process:
