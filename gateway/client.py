@@ -37,6 +37,7 @@ from gateway.types import ZERO_TWIST, Mode, Region, TwistFrame
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_SIZE = 1_048_576  # bytes; a robot file is the longest of our messages
+VIEW_RING = 64  # batches of the live view, some seconds; the oldest are dropped
 MAX_EVENTS = 1024  # kept for `events`; the oldest are dropped
 STOP_REPEAT_S = 0.2
 # A laptop that slept must not come back with stamps that are too small: this clock goes on meanwhile, where it exists.
@@ -187,6 +188,24 @@ class Client:
         """The robot file of the running gateway; None: no answer."""
         payload = self._get(keys.CONFIG, timeout)
         return None if payload is None else payload.decode(errors="replace")
+
+    def look(self, handle: Callable[[bytes], None]) -> None:
+        """Begins to receive the live view (`gateway.edges.live_view`); `handle` is called in a thread of its own.
+
+        The robot tells it only while somebody receives it. A slow `handle` costs batches, and never the robot.
+        """
+        key = self._key(keys.VIEW)
+
+        def receive(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) == key:  # a put on `**` arrives here too
+                handle(sample.payload.to_bytes())
+
+        self._receivers.subscribe(key, receive, ring=VIEW_RING)
+
+    @property
+    def robot(self) -> str:
+        """Its name."""
+        return self._robot
 
     @property
     def alive(self) -> bool:

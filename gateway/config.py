@@ -273,6 +273,7 @@ class Zenoh(Section):
     config_file: Annotated[str, Field(max_length=256)] | None = None  # JSON5 of Zenoh itself: TLS, access control
     odometry_rate: Rate = 50.0
     state_rate: Rate = 10.0
+    view_rate: Annotated[float, Field(ge=1.0, le=50.0)] = 20.0  # Hz, of what is sent to those who look on
 
 
 class Recording(Section):

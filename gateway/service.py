@@ -5,7 +5,7 @@ How this works
 Everything outside the core is an edge given to the constructor. The loop never waits for one of them: buses drop,
 the link hands over to its own threads, log lines go through a queue, the recorder is another process, the latch of the
 emergency stop has a thread. An edge that raises is an edge that has gone: without the link the robot comes to rest as
-for a silent commander and the service ends, without the recorder it drives on.
+for a silent commander and the service ends, without the recorder or the live view it drives on.
 A bug in the core ends in one handler, here: stop frames in every period until the motors report rest, then release,
 exit code 70; the motors' own watchdogs guard what is left.
 """
@@ -75,6 +75,8 @@ class Link(Protocol):
         extras: Mapping[str, object],
     ) -> None: ...
 
+    def show(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None: ...
+
 
 class RecorderEdge(Protocol):
     """What the loop needs of the recorder."""
@@ -138,6 +140,7 @@ class Service:
         self._unrecorded = 0  # cycles the recorder raised at
         self._recorder_error: str | None = None
         self._link_lost = False
+        self._view_lost = False
         self._bus_error: str | None = None
         self._stop_since_ns: int | None = None
         self._exit_code = 0
@@ -214,7 +217,10 @@ class Service:
         wall_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
         done_ns = time.monotonic_ns()
         work_ns = done_ns - now_ns
-        self._record(inputs, outputs, CycleTiming(late_ns, work_ns, wall_ns - work_ns))
+        timing = CycleTiming(late_ns, work_ns, wall_ns - work_ns)
+        self._record(inputs, outputs, timing)
+        if not self._view_lost:
+            self._try(partial(self._link.show, inputs, outputs, timing), None, self._lose_view)
         return outputs
 
     def _kept_stop(self, now_ns: int) -> tuple[Request, ...]:
@@ -313,6 +319,10 @@ class Service:
         if self._ending.by is None:
             self._exit_code = EXIT_LINK_LOST
         self._ending.ask(f"link lost ({error})")
+
+    def _lose_view(self, error: Exception) -> None:
+        self._view_lost = True
+        self._own_events.append(Event(Level.WARNING, "view_lost", f"nobody can look on any more: {error}"))
 
     def _dropped_records(self) -> int:
         return self._unrecorded + self._try(lambda: self._recorder.dropped, 0, self._lose_recorder)

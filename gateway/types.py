@@ -418,3 +418,25 @@ class CycleTiming(NamedTuple):
     late_ns: int  # start of the cycle after its deadline
     work_ns: int  # drain + step + send
     wall_ns: int  # CLOCK_REALTIME at the start of the cycle
+
+
+class Sample(NamedTuple):
+    """What is drawn of one cycle (`gateway.core.samples`).
+
+    It stands for the cycles from `since` on, of which nothing else is drawn.
+    `late_ns`, `work_ns`: the worst since the last plotted one. `trace`: of a cycle that is plotted or pictured.
+    """
+
+    since: int
+    cycle: int
+    wall_ns: int
+    mode: Mode
+    plotted: bool
+    pictured: bool
+    late_ns: int
+    work_ns: int
+    trace: Trace | None
+    status: Status | None
+    events: tuple[Event, ...]
+    frames_in: tuple[CanFrame, ...]
+    frames_out: tuple[CanFrame, ...]

@@ -158,14 +158,28 @@ def tell(answer: ResetAnswer, *, json: bool) -> None:
 
 def watch(
     name: RobotName,
+    *,
     connect: Connect = None,
     once: Annotated[bool, typer.Option("--once", help="Print the table once.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the state once, as the robot publishes it.")] = False,
     channels: Annotated[bool, typer.Option("--channels", help="Show every number that is recorded for plots.")] = False,
+    viewer: Annotated[
+        bool, typer.Option("--viewer", help="In the Rerun viewer on this machine, as a session.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="With --viewer: as a page on loopback, also with a display.")
+    ] = False,
 ) -> None:
-    """Live table of a running robot; Ctrl-C ends it."""
+    """Live table of a running robot, or its live view; Ctrl-C ends it."""
+    for option, given, apart in (("--viewer", viewer, once or json or channels), ("--web", web, not viewer)):
+        if given and apart:
+            raise typer.BadParameter("needs --viewer, which goes with nothing else", param_hint=option)
     table = _channel_table if channels else _table
     with open_client(name, connect) as client:
+        if viewer:
+            from gateway.cli.look import look  # noqa: PLC0415  # Rerun is for those who want it only
+
+            look(client, web=web)
         events: list[EventMessage] = []
         if once or json:
             state = client.wait_for_state(lambda _: True, ALIVE_TIMEOUT_S)

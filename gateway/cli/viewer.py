@@ -1,31 +1,147 @@
-"""Opens a session in the Rerun viewer: a window where there is a display, else a page on loopback."""
+"""The Rerun viewer: a window where there is a display, else a page on loopback. Never listens beyond loopback."""
 
 import os
+import socket
 import subprocess
 import sysconfig
+import time
 from pathlib import Path
+from typing import Self
 from urllib.parse import quote
 
 from gateway.cli.output import complain, console
 from gateway.recording.disk import segments
 
+LOOPBACK = "127.0.0.1"
 WEB_PORT = 9090
 DATA_PORT = 9876
+READY_S = 30.0
+END_S = 3.0
+# Of what was shown: the viewer, and the server of a page, forget the oldest beyond that.
+WINDOW_MEMORY = "2GB"
+PAGE_MEMORY = "512MB"
+
+
+class ViewerError(RuntimeError):
+    """There is no viewer; the text says why."""
 
 
 def view(session: Path) -> None:
-    """Blocks until the viewer is closed (Ctrl-C ends the served page). Never listens beyond loopback."""
-    program = Path(sysconfig.get_path("purelib")) / "rerun_cli" / "rerun"
+    """Shows a session; blocks until the viewer is closed (Ctrl-C ends the served page)."""
+    program = _program()
     if not program.exists():
         complain(f"the Rerun viewer is not installed with this Python; open {session} with `rerun`")
         return
     files = [str(path) for path in segments(session)]
-    command = [str(program), "--bind", "127.0.0.1", "--port", str(DATA_PORT)]
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    command = [str(program), "--bind", LOOPBACK, "--port", str(DATA_PORT)]
+    if not _has_display():
         command += ["--serve-web", "--web-viewer-port", str(WEB_PORT)]
-        url = quote(f"rerun+http://127.0.0.1:{DATA_PORT}/proxy", safe="")
-        console.print(f"look at http://127.0.0.1:{WEB_PORT}/?url={url} (Ctrl-C ends it)", highlight=False)
+        console.print(f"look at {_page(WEB_PORT, DATA_PORT)} (Ctrl-C ends it)", highlight=False)
     try:
         subprocess.run([*command, *files], check=False)
     except KeyboardInterrupt:
         return
+
+
+class LiveViewer:
+    """A viewer that recordings are sent to, at `url`, while they go on. Raises ViewerError at construction.
+
+    `page`: where to look at it, None for a window. Without a display it is a page anyway.
+    """
+
+    def __init__(self, *, web: bool = False) -> None:
+        program = _program()
+        if not program.exists():
+            raise ViewerError("the Rerun viewer is not installed with this Python")
+        self._port = free_port(DATA_PORT)
+        self.url = _url(self._port)
+        command = [str(program), "--bind", LOOPBACK, "--port", str(self._port)]
+        self.page: str | None = None
+        if web or not _has_display():
+            web_port = free_port(WEB_PORT, other_than=self._port)
+            command += ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", PAGE_MEMORY]
+            self.page = _page(web_port, self._port)
+        else:
+            command += ["--memory-limit", WINDOW_MEMORY, "--expect-data-soon"]
+        # In a session of its own: a Ctrl-C reaches only us, who end it.
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        try:
+            self._wait_until_ready()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def wait(self, seconds: float) -> bool:
+        """Waits so long at most; whether the viewer still runs."""
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return True
+        return False
+
+    def close(self) -> None:
+        """Ends the viewer."""
+        self._process.terminate()
+        if self.wait(END_S):
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _wait_until_ready(self) -> None:
+        deadline = time.monotonic() + READY_S
+        while self.wait(0.05):
+            try:
+                socket.create_connection((LOOPBACK, self._port), timeout=1.0).close()
+            except OSError:
+                if time.monotonic() > deadline:
+                    raise ViewerError(f"the Rerun viewer was not ready within {READY_S:g} s") from None
+            else:
+                return
+        raise ViewerError(f"the Rerun viewer ended with exit code {self._process.returncode}; try --web")
+
+
+def free_port(wanted: int, *, other_than: int | None = None) -> int:
+    """This one where nobody listens on it; else any that is free."""
+    for port in (wanted, 0, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, port))
+            except OSError:
+                continue
+            found: int = probe.getsockname()[1]
+        if found != other_than:
+            return found
+    raise ViewerError("no port on loopback is free")
+
+
+def _program() -> Path:
+    return Path(sysconfig.get_path("purelib")) / "rerun_cli" / "rerun"
+
+
+def _has_display() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _page(web_port: int, data_port: int) -> str:
+    return f"http://{LOOPBACK}:{web_port}/?url={quote(_url(data_port), safe='')}"
+
+
+def _url(data_port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{data_port}/proxy"

@@ -15,6 +15,7 @@ STATE = "state"
 EVENT = "event"
 REACHABLE = "reachable"  # published on change, and asked
 TRUTH = "truth"  # of a simulated robot
+VIEW = "view"  # published while somebody subscribes
 PUBLISHED = (ODOMETRY, STATE, EVENT, TRUTH, REACHABLE)
 ALIVE = "alive"  # a liveliness token
 

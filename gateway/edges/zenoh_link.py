@@ -22,6 +22,7 @@ import zenoh
 
 from gateway.config import RobotConfig, Sensor
 from gateway.edges import keys, messages
+from gateway.edges.live_view import LiveView
 from gateway.edges.mailbox import Drained, Mailbox, Outbox
 from gateway.edges.messages import SampleMessage, TwistMessage
 from gateway.edges.source_gate import SourceGate
@@ -29,8 +30,11 @@ from gateway.edges.zenoh_questions import END, Questions, answer
 from gateway.edges.zenoh_session import CLOSE_S, LinkError, Receivers, open_zenoh
 from gateway.types import (
     AbilityStatus,
+    CycleTiming,
     Event,
+    Inputs,
     Odometry,
+    Outputs,
     Pose,
     Refusal,
     RefusalCode,
@@ -73,6 +77,7 @@ class ZenohLink:
             config_file=config.zenoh.config_file,
         )
         self._publishers = {name: self._publisher(name) for name in keys.PUBLISHED}
+        self._view = LiveView(self._session, self._key(keys.VIEW), config.zenoh.view_rate)
         self._receivers = Receivers(self._session)
         self._publishing = self._receivers.pump("publisher", iter(self._outbox.calls.get, False), self._send)
         for source in config.commands.source:
@@ -124,6 +129,10 @@ class ZenohLink:
         if events:
             self._outbox.leave_events(events, now_ns)
 
+    def show(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+        """Leaves what is drawn of a cycle, if anybody looks on; never waits."""
+        self._view.show(inputs, outputs, timing)
+
     def publish_truth(self, pose: Pose, t: float) -> None:
         """Where the simulated robot really is, at `t` seconds."""
         self._outbox.leave(keys.TRUTH, partial(messages.encode_truth, pose, t))
@@ -134,6 +143,7 @@ class ZenohLink:
         self._questions.close()
         self._publishing.join(CLOSE_S)
         self._answering.join(CLOSE_S)
+        self._view.close()
         self._receivers.close()
 
     def __enter__(self) -> Self:

@@ -4,30 +4,35 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from gateway.core.channels import Channel, plots
+from gateway.config import RobotConfig
+from gateway.core.channels import channels_of, plots
 from gateway.recording.schema import CYCLE, WALL
 from gateway.recording.shapes import BODY, PATH, WORLD
 from gateway.recording.views import (
     CAN_IN,
     CAN_OUT,
     CHANNELS_ROOT,
+    CONFIG,
     EVENTS,
     LOOP,
     MODE,
 )
 
 PATH_SECONDS = 120.0
+EYE_HEIGHTS = 10.0  # of the eye above the robot, in radii of its body
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
 _EVENT_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["loglevel", "body"])
 _CAN_COLUMNS = rrb.TextLogColumns(timeline_columns=[CYCLE], text_log_columns=["body"])
 
 
-def blueprint(channels: Sequence[Channel], *, eye_height: float) -> rrb.Blueprint:
+def blueprint(config: RobotConfig, *, follow: bool = False) -> rrb.Blueprint:
     """Robot from above, its path | wheel speeds, body velocity, loop timing; modes and events along the bottom.
 
     The first plot of the channels has a place of its own, the others share one, the second of them on top.
+    `follow`: of a drive that goes on, whose newest cycle is shown.
     """
-    wheels, *others = (_plot(name, shown) for name, shown in plots(channels).items())
+    wheels, *others = (_plot(name, shown) for name, shown in plots(channels_of(config)).items())
+    eye_height = EYE_HEIGHTS * config.robot.drawing().reach
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -46,14 +51,14 @@ def blueprint(channels: Sequence[Channel], *, eye_height: float) -> rrb.Blueprin
                     rrb.TextLogView(origin=EVENTS, name="Events", columns=_EVENT_COLUMNS),
                     rrb.TextLogView(origin=CAN_IN, name="CAN in", columns=_CAN_COLUMNS),
                     rrb.TextLogView(origin=CAN_OUT, name="CAN out", columns=_CAN_COLUMNS),
-                    rrb.TextDocumentView(origin="/config", name="Robot file"),
+                    rrb.TextDocumentView(origin=CONFIG, name="Robot file"),
                     active_tab=0,
                 ),
                 column_shares=[3, 2],
             ),
             row_shares=[4, 1],
         ),
-        rrb.TimePanel(state="collapsed", timeline=WALL),
+        rrb.TimePanel(state="collapsed", timeline=WALL, play_state="Following" if follow else None),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

@@ -4,29 +4,25 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
 
-from gateway.recording.packets import Record
 from gateway.recording.schema import CYCLE, WALL, Kind, Row
-
-Integers = npt.NDArray[np.int64]
 
 
 class Times:
-    """The three timelines of a batch, one value per cycle."""
+    """The timelines of a batch, one value per cycle: its number, and CLOCK_REALTIME at its start (ns)."""
 
-    def __init__(self, records: Sequence[Record]) -> None:
-        self.cycle = np.array([record.inputs.cycle for record in records], np.int64)
-        self.mono = np.array([record.inputs.now_ns for record in records], np.int64)
-        self.wall = np.array([record.timing.wall_ns for record in records], np.int64)
+    def __init__(self, cycles: Sequence[int], wall_ns: Sequence[int]) -> None:
+        self._cycles = np.array(cycles, np.int64)
+        self._wall_ns = np.array(wall_ns, np.int64)
 
-    def at(self, places: Integers) -> list[rr.TimeColumn]:
+    def at(self, places: Sequence[int]) -> list[rr.TimeColumn]:
         """Times of rows that belong to the cycles at these places of the batch."""
+        rows = np.array(places, np.int64)
         return [
-            rr.TimeColumn(CYCLE, sequence=self.cycle[places]),
-            rr.TimeColumn(WALL, timestamp=self.wall[places].view("datetime64[ns]")),
+            rr.TimeColumn(CYCLE, sequence=self._cycles[rows]),
+            rr.TimeColumn(WALL, timestamp=self._wall_ns[rows].view("datetime64[ns]")),
         ]
 
 

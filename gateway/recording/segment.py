@@ -11,7 +11,6 @@ from hashlib import sha256
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -40,11 +39,7 @@ from gateway.recording.schema import (
     SNAPSHOT_ARCHETYPE,
     SNAPSHOT_COLUMNS,
     SNAPSHOT_PATH,
-    STATUS_ARCHETYPE,
-    STATUS_COLUMNS,
-    STATUS_PATH,
     Header,
-    status_row,
 )
 from gateway.recording.views import Views
 
@@ -93,7 +88,7 @@ class Segment:
         self._undrawn: list[Record] = []
         self._undrawn_gaps: list[Gap] = []
         self._send_header(header, text)
-        views.begin(self._recording)
+        views.begin(self._recording, header.config_text)
         self.flush()
 
     def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
@@ -110,7 +105,9 @@ class Segment:
         chain = link(self.chain, records[0].inputs.cycle, len(records), stored)
         columns = arrays(BLOCK_COLUMNS, [(len(records), stored, self.chain, chain)])
         block = rr.DynamicArchetype.columns(archetype=BLOCK_ARCHETYPE, components=columns)
-        self._recording.send_columns(BLOCK_PATH, Times(records[:1]).at(np.zeros(1, np.int64)), block)
+        first = records[0]
+        when = Times([first.inputs.cycle], [first.timing.wall_ns]).at([0])
+        self._recording.send_columns(BLOCK_PATH, when, block)
         self.chain = chain
 
     def _draw_later(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
@@ -127,10 +124,8 @@ class Segment:
             return
         records, gaps = self._undrawn, self._undrawn_gaps
         self._undrawn, self._undrawn_gaps = [], []
-        times = Times(records)
         try:
-            self._views.send(self._recording, records, gaps, times)
-            self._send_status(records, times)
+            self._views.send(self._recording, records, gaps)
         except (OverflowError, TypeError, ValueError) as error:
             first, last = records[0].inputs.cycle, records[-1].inputs.cycle
             logger.warning("cycles %d to %d are recorded, but not drawn: %s", first, last, error)
@@ -143,14 +138,6 @@ class Segment:
         state = rr.DynamicArchetype.columns(archetype=SNAPSHOT_ARCHETYPE, components=columns)
         self._recording.send_columns(SNAPSHOT_PATH, [rr.TimeColumn(CYCLE, sequence=[cycle])], state)
         self.chain = chain
-
-    def _send_status(self, records: Sequence[Record], times: Times) -> None:
-        said = [(place, record.outputs.status) for place, record in enumerate(records)]
-        rows = [(place, status_row(status)) for place, status in said if status is not None]
-        if rows:
-            columns = arrays(STATUS_COLUMNS, [row for _, row in rows])
-            status = rr.DynamicArchetype.columns(archetype=STATUS_ARCHETYPE, components=columns)
-            self._recording.send_columns(STATUS_PATH, times.at(np.array([place for place, _ in rows])), status)
 
     def flush(self) -> None:
         """Hand everything to the kernel. Raises WriterDeadError."""
@@ -193,8 +180,6 @@ class Segment:
         self._recording.send_recording_start_time_nanos(header.started_wall_ns)
         columns = arrays(HEADER_COLUMNS, [(header.schema_version, text)])
         self._recording.log(HEADER_PATH, rr.DynamicArchetype(HEADER_ARCHETYPE, components=columns), static=True)
-        shown = f"```toml\n{header.config_text}\n```"
-        self._recording.log("/config", rr.TextDocument(shown, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _send_gaps(self, gaps: Sequence[Gap]) -> None:
         rows = [(gap.first_cycle, gap.last_cycle, gap.reason) for gap in gaps]

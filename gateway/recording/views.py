@@ -2,26 +2,27 @@
 
 How this works
 --------------
-Everything here follows from the inputs, which are recorded whole (`gateway.recording.schema`), so it is drawn at a
-viewing rate: plots 50 times a second, the robot 20 times, and of each CAN message the first of every half second, so
-that a rare one is always there. Of the loop's timing the worst since the point before is drawn. Plotted numbers have
-six digits. Every cycle and every frame can be had later, exactly: `drivegate replay trace`, `drivegate replay can`.
+Everything here follows from the inputs, which are recorded whole (`gateway.recording.schema`), so samples of the drive
+are drawn (`gateway.core.samples`), in a session and for whoever looks on live (`gateway.recording.live`). Plotted
+numbers have six digits. Every cycle and every frame can be had later, exactly: `drivegate replay trace`, `drivegate
+replay can`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from gateway.core.channels import Layout, channels_of, entities, owners
 from gateway.core.frame_words import FrameWords
-from gateway.recording.columns import Integers, Times
+from gateway.core.samples import Sampler
+from gateway.recording.columns import Times, arrays
 from gateway.recording.packets import Gap, Record
+from gateway.recording.schema import STATUS_ARCHETYPE, STATUS_COLUMNS, STATUS_PATH, status_row
 from gateway.recording.shapes import CHASSIS_PATH, COMMANDED, MEASURED, PATH, ROBOT, colours, send_shapes
-from gateway.types import Event, Level, Mode, Pose, Trace, Twist
+from gateway.types import Event, Level, Mode, Pose, Sample, Trace, Twist
 
 CHANNELS_ROOT = "/trace"
 LOOP = "/trace/loop"
@@ -29,10 +30,8 @@ MODE = "/trace/mode"
 EVENTS = "/trace/events"
 CAN_IN = "/trace/can/in"
 CAN_OUT = "/trace/can/out"
+CONFIG = "/config"
 
-PLOT_PERIOD_NS = 20_000_000
-PICTURE_PERIOD_NS = 50_000_000
-CAN_PERIOD_NS = 500_000_000
 PATH_STEP = 0.01  # m; a standing robot draws nothing
 ARROW_SECONDS = 0.8  # an arrow is as long as the way of this time
 
@@ -53,29 +52,29 @@ _LEVELS = {
 
 Floats = npt.NDArray[np.float64]
 _UPPER_HALF = np.uint64(0xFFFF_FFFF_0000_0000)  # 20 of the 52 bits of the fraction
-FrameKey = tuple[object, ...]  # bus and id
 
 
 class Views:
-    """Sends the pictures of each batch; keeps the few values that go on from batch to batch and segment to segment."""
+    """Draws the samples of each batch; keeps the few values that go on from batch to batch and segment to segment."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._names = tuple(motor.name for motor in config.motors_in_order())
         self._joint = config.robot.drawing().beneath
         self._owners = owners(config)
         self._entities = entities(channels_of(config))  # each costs a kilobyte per batch
         self._layouts = {entity: Layout(self._owners, channels) for entity, channels in self._entities.items()}
+        self._blank = dict.fromkeys(self._layouts, True)  # whether its last row had no number
         self._mode: Mode | None = None
         self._words = FrameWords(config)
-        self._plot = self._picture = self._slot = -1
-        self._seen: dict[str, set[FrameKey]] = {CAN_IN: set(), CAN_OUT: set()}
+        self._sampler = Sampler()
         self._joint_angle = 0.0
         self._path_end: Pose | None = None
 
-    def begin(self, recording: rr.RecordingStream) -> None:
+    def begin(self, recording: rr.RecordingStream, config_text: str) -> None:
         """Everything static, which Rerun keeps only in the segment it was sent to."""
         self._mode = None
+        shown = f"```toml\n{config_text}\n```"
+        recording.log(CONFIG, rr.TextDocument(shown, media_type=rr.MediaType.MARKDOWN), static=True)
         for entity, channels in self._entities.items():
             asked, measured = (
                 [label for channel in channels if channel.asked is wanted for label in channel.labels(self._owners)]
@@ -90,87 +89,78 @@ class Views:
         recording.log(MODE, styles, static=True)
         send_shapes(recording, self._config)
 
-    def send(self, recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times) -> None:
-        """The pictures of one batch."""
-        traces = [record.outputs.trace for record in records]
-        plotted, self._plot = _places(times, PLOT_PERIOD_NS, self._plot)
-        if plotted.size:
-            when = times.at(plotted)
-            self._send_plots(recording, [traces[place] for place in plotted], when)
-            self._send_loop(recording, records, plotted, when)
-        self._send_modes(recording, records, times)
-        self._send_events(recording, records, gaps, times)
-        self._send_can(recording, records, times)
-        self._send_pictures(recording, traces, times)
+    def send(self, recording: rr.RecordingStream, records: Iterable[Record], gaps: Sequence[Gap]) -> None:
+        """The pictures of one batch of cycles."""
+        found = (self._sampler.step(record.inputs, record.outputs, record.timing) for record in records)
+        self.draw(recording, [sample for sample in found if sample is not None], gaps)
 
-    def _send_plots(self, recording: rr.RecordingStream, traces: Sequence[Trace], when: list[rr.TimeColumn]) -> None:
+    def draw(self, recording: rr.RecordingStream, samples: Sequence[Sample], gaps: Sequence[Gap]) -> None:
+        """The pictures of one batch of samples; gaps are in front of the first of them."""
+        if not samples:
+            return
+        times = Times([sample.cycle for sample in samples], [sample.wall_ns for sample in samples])
+        self._draw_plots(recording, samples, times)
+        self._draw_modes(recording, samples, times)
+        _draw_events(recording, samples, gaps, times)
+        self._draw_can(recording, samples, times)
+        self._draw_pictures(recording, samples, times)
+        _draw_status(recording, samples, times)
+
+    def _draw_plots(self, recording: rr.RecordingStream, samples: Sequence[Sample], times: Times) -> None:
+        places = [place for place, sample in enumerate(samples) if sample.plotted]
+        if not places:
+            return
+        plotted = [samples[place] for place in places]
         for entity, layout in self._layouts.items():
-            numbers = np.array([layout.row(trace) for trace in traces], np.float64)  # None: NaN, a hole in the line
-            if not np.isnan(numbers).all():
-                recording.send_columns(f"{CHANNELS_ROOT}/{entity}", when, rr.Scalars.columns(scalars=_shown(numbers)))
+            # None: NaN, a hole in the line
+            numbers = np.array([layout.row(sample.trace) for sample in plotted if sample.trace is not None], np.float64)
+            told = self._told(entity, numbers)
+            if told:
+                columns = rr.Scalars.columns(scalars=_shown(numbers[told]))
+                recording.send_columns(f"{CHANNELS_ROOT}/{entity}", times.at([places[row] for row in told]), columns)
+        spent = np.array([(sample.late_ns, sample.work_ns) for sample in plotted], np.float64) * 1e-6
+        recording.send_columns(LOOP, times.at(places), rr.Scalars.columns(scalars=_shown(spent)))
 
-    @staticmethod
-    def _send_loop(
-        recording: rr.RecordingStream, records: Sequence[Record], places: Integers, when: list[rr.TimeColumn]
-    ) -> None:
-        """The worst of the cycles since the point before, so that none of them hides between two points."""
-        spent = np.array([(record.timing.late_ns, record.timing.work_ns) for record in records], np.float64) * 1e-6
-        begins = np.concatenate([[0], places[:-1] + 1])
-        worst = np.maximum.reduceat(spent[: places[-1] + 1], begins)
-        recording.send_columns(LOOP, when, rr.Scalars.columns(scalars=_shown(worst)))
+    def _told(self, entity: str, numbers: Floats) -> list[int]:
+        """Rows that say something: of several without any number the first, however they come in batches."""
+        told = []
+        for place, row in enumerate(numbers):
+            blank = bool(np.isnan(row).all())
+            if not (blank and self._blank[entity]):
+                told.append(place)
+            self._blank[entity] = blank
+        return told
 
-    def _send_modes(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
+    def _draw_modes(self, recording: rr.RecordingStream, samples: Sequence[Sample], times: Times) -> None:
         changes: list[int] = []
-        for place, record in enumerate(records):
-            if record.outputs.mode is not self._mode:
-                self._mode = record.outputs.mode
+        for place, sample in enumerate(samples):
+            if sample.mode is not self._mode:
+                self._mode = sample.mode
                 changes.append(place)
         if changes:
-            modes = [records[place].outputs.mode.value for place in changes]
-            recording.send_columns(MODE, times.at(np.array(changes)), rr.StateChange.columns(state=modes))
+            modes = [samples[place].mode.value for place in changes]
+            recording.send_columns(MODE, times.at(changes), rr.StateChange.columns(state=modes))
 
-    @staticmethod
-    def _send_events(
-        recording: rr.RecordingStream, records: Sequence[Record], gaps: Sequence[Gap], times: Times
-    ) -> None:
-        """Events of the core, and gaps of the recording as a person should see them."""
-        said = [
-            (0, Event(Level.WARNING, "gap", f"cycles {gap.first_cycle} to {gap.last_cycle} are missing: {gap.reason}"))
-            for gap in gaps
+    def _draw_can(self, recording: rr.RecordingStream, samples: Sequence[Sample], times: Times) -> None:
+        """As message, motor and fields."""
+        for path, frames in (
+            (CAN_IN, [sample.frames_in for sample in samples]),
+            (CAN_OUT, [sample.frames_out for sample in samples]),
+        ):
+            said = [(place, self._words.of(frame)) for place, some in enumerate(frames) for frame in some]
+            if said:
+                texts = rr.TextLog.columns(text=[text for _, text in said])
+                recording.send_columns(path, times.at([place for place, _ in said]), texts)
+
+    def _draw_pictures(self, recording: rr.RecordingStream, samples: Sequence[Sample], times: Times) -> None:
+        pictured = [
+            (place, sample.trace)
+            for place, sample in enumerate(samples)
+            if sample.pictured and sample.trace is not None
         ]
-        said += [(place, event) for place, record in enumerate(records) for event in record.outputs.events]
-        if said:
-            columns = rr.TextLog.columns(
-                text=[f"{event.code}: {event.text}" for _, event in said],
-                level=[_LEVELS[event.level] for _, event in said],
-            )
-            recording.send_columns(EVENTS, times.at(np.array([place for place, _ in said])), columns)
-
-    def _send_can(self, recording: rr.RecordingStream, records: Sequence[Record], times: Times) -> None:
-        """Of each message the first of every half second, as message, motor and fields."""
-        shown: dict[str, list[tuple[int, CanFrame]]] = {CAN_IN: [], CAN_OUT: []}
-        for place, record in enumerate(records):
-            slot = record.inputs.now_ns // CAN_PERIOD_NS
-            if slot != self._slot:
-                self._slot = slot
-                for seen in self._seen.values():
-                    seen.clear()
-            for path, frames in ((CAN_IN, record.inputs.frames), (CAN_OUT, record.outputs.frames)):
-                for frame in frames:
-                    key = frame[:2]
-                    if key not in self._seen[path]:
-                        self._seen[path].add(key)
-                        shown[path].append((place, frame))
-        for path, chosen in shown.items():
-            if chosen:
-                texts = rr.TextLog.columns(text=[self._words.of(frame) for _, frame in chosen])
-                recording.send_columns(path, times.at(np.array([place for place, _ in chosen])), texts)
-
-    def _send_pictures(self, recording: rr.RecordingStream, traces: Sequence[Trace], times: Times) -> None:
-        places, self._picture = _places(times, PICTURE_PERIOD_NS, self._picture)
-        if not places.size:
+        if not pictured:
             return
-        shown = [traces[place] for place in places]
+        places, shown = [place for place, _ in pictured], [trace for _, trace in pictured]
         when = times.at(places)
         poses = np.array([trace.pose for trace in shown], np.float64)
         flat = np.column_stack((poses[:, :2], np.zeros(len(shown))))
@@ -180,7 +170,7 @@ class Views:
             recording.send_columns(CHASSIS_PATH, when, rr.Transform3D.columns(quaternion=_turned(-angles)))
         for path, twists in ((COMMANDED, [t.target for t in shown]), (MEASURED, [t.measured for t in shown])):
             recording.send_columns(path, when, rr.Arrows3D.columns(vectors=_arrows(twists)))
-        self._send_path(recording, shown, places, times)
+        self._draw_path(recording, shown, places, times)
 
     def _joint_angles(self, traces: Sequence[Trace]) -> Floats:
         """Platform relative to chassis (rad); the last known angle where it was not measured."""
@@ -192,8 +182,8 @@ class Views:
             angles.append(self._joint_angle)
         return np.array(angles)
 
-    def _send_path(
-        self, recording: rr.RecordingStream, traces: Sequence[Trace], places: Integers, times: Times
+    def _draw_path(
+        self, recording: rr.RecordingStream, traces: Sequence[Trace], places: Sequence[int], times: Times
     ) -> None:
         """One short line per picture in which the robot moved; the viewer shows those of the last minutes together."""
         points, drawn = [], []
@@ -205,18 +195,40 @@ class Views:
                 self._path_end = trace.pose
         if drawn:
             columns = rr.LineStrips3D.columns(strips=np.array(points, np.float32))
-            recording.send_columns(PATH, times.at(np.array(drawn)), columns)
+            recording.send_columns(PATH, times.at(drawn), columns)
+
+
+def draw_events(recording: rr.RecordingStream, events: Sequence[Event], when: list[rr.TimeColumn]) -> None:
+    """One line for each."""
+    columns = rr.TextLog.columns(
+        text=[f"{event.code}: {event.text}" for event in events], level=[_LEVELS[event.level] for event in events]
+    )
+    recording.send_columns(EVENTS, when, columns)
+
+
+def _draw_events(recording: rr.RecordingStream, samples: Sequence[Sample], gaps: Sequence[Gap], times: Times) -> None:
+    """Events of the core, and gaps of the recording as a person should see them."""
+    said = [
+        (0, Event(Level.WARNING, "gap", f"cycles {gap.first_cycle} to {gap.last_cycle} are missing: {gap.reason}"))
+        for gap in gaps
+    ]
+    said += [(place, event) for place, sample in enumerate(samples) for event in sample.events]
+    if said:
+        draw_events(recording, [event for _, event in said], times.at([place for place, _ in said]))
+
+
+def _draw_status(recording: rr.RecordingStream, samples: Sequence[Sample], times: Times) -> None:
+    said = [(place, sample.status) for place, sample in enumerate(samples)]
+    rows = [(place, status_row(status)) for place, status in said if status is not None]
+    if rows:
+        columns = arrays(STATUS_COLUMNS, [row for _, row in rows])
+        status = rr.DynamicArchetype.columns(archetype=STATUS_ARCHETYPE, components=columns)
+        recording.send_columns(STATUS_PATH, times.at([place for place, _ in rows]), status)
 
 
 def _shown(numbers: Floats) -> Floats:
     """To six digits: the lower half of a float64, which is noise to Rerun's LZ4 and to the eye, is zero."""
     return (numbers.view(np.uint64) & _UPPER_HALF).view(np.float64)
-
-
-def _places(times: Times, period_ns: int, slot: int) -> tuple[Integers, int]:
-    """The first cycle of each period, after that of number `slot`; and the number of the last period."""
-    slots = times.mono // period_ns
-    return np.flatnonzero(np.diff(slots, prepend=slot) != 0), int(slots[-1])
 
 
 def _lines(recording: rr.RecordingStream, path: str, measured: Sequence[str], *, asked: Sequence[str] = ()) -> None:

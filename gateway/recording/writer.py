@@ -19,7 +19,6 @@ import msgspec
 import rerun as rr
 
 from gateway.config import RobotConfig
-from gateway.core.channels import channels_of
 from gateway.recording.blueprint import blueprint
 from gateway.recording.disk import (
     Disposable,
@@ -46,7 +45,6 @@ from gateway.recording.views import Views
 
 logger = logging.getLogger(__name__)
 
-EYE_HEIGHTS = 10.0  # of the eye above the robot, in radii of its body
 _BAD_VALUE = (OverflowError, TypeError, ValueError)
 
 
@@ -77,7 +75,7 @@ class SessionWriter:
         if told is not None:
             self._header = msgspec.structs.replace(told, session=self.folder.name, segment=1, first_segment=1)
         self._views = Views(config)
-        self._blueprint = blueprint(channels_of(config), eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
+        self._blueprint = blueprint(config)
         self._syncer = Syncer()
         self._segment: Segment | None = None
         self._number = 0

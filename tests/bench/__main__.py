@@ -28,6 +28,7 @@ from tests.bench import (
     sessions,
     slip,
     verify,
+    view,
     yardstick,
 )
 from tests.world import NAMES
@@ -50,6 +51,7 @@ PARTS: Mapping[str, tuple[str, Callable[[], dict[str, float]]]] = {
     ),
     "sessions": ("sessions beside logs of the same frames, bytes and us per cycle", sessions.measure),
     "live": ("the service at 1 kHz, the simulated robot in a process of its own, us", live.measure),
+    "view": ("who looks on: what it costs the service at 1 kHz, us, processor ms/s, kB", view.measure),
     "recorder": ("recorder: the loop's share per cycle, and the disk's", recorder.measure),
     "damage": ("recordings after kills, cuts and flipped bits: seconds lost, and what must not be", damage.measure),
     "plant": ("plant step: one substep of 1 ms of the simulated world, us", plant.measure),
@@ -112,6 +114,13 @@ AIMS: Mapping[str, Aim] = {
     "loop_late_p50_us": Aim("empty_loop_late_p50_us"),
     "loop_late_p99_us": Aim("empty_loop_late_p99_us"),
     "loop_late_p999_us": Aim("empty_loop_late_p999_us"),
+    **{
+        f"view_{word}_{name}": Aim(f"view_{word}_none")
+        for name in ("one", "ten", "frozen", "killed")
+        for word in ("late_p50_us", "late_p99_us", "late_p999_us", "cycles_missed_percent", "cpu_ms_per_s")
+    },
+    "view_memory_growth_kb_frozen": Aim("view_memory_growth_kb_none"),
+    "view_records_dropped": Aim(most=0.0),
     "put_to_thread_p50_us": Aim("bare_zenoh_thread_p50_us"),
     "put_to_thread_p99_us": Aim("bare_zenoh_thread_p99_us"),
     "put_to_can_p50_us": Aim("bare_zenoh_and_half_period_us"),

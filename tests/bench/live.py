@@ -118,6 +118,7 @@ class Noting:
     """The recorder, and what this measurement wants to know of each cycle."""
 
     def __init__(self, recorder: Recorder, edge: Edge) -> None:
+        self.begun_ns: list[int] = []
         self.late_ns: list[int] = []
         self.work_ns: list[int] = []
         self.stages: list[Stages] = []
@@ -130,6 +131,7 @@ class Noting:
 
     def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State]) -> None:
         self._recorder.put(inputs, outputs, timing, state)
+        self.begun_ns.append(inputs.now_ns)
         self.late_ns.append(timing.late_ns)
         self.work_ns.append(timing.work_ns)
         for command in inputs.commands:
@@ -144,15 +146,17 @@ class Noting:
 
 
 class Served(NamedTuple):
+    begun_ns: list[int]
     late_ns: list[int]
     work_ns: list[int]
     stages: list[Stages]
+    dropped: int  # records
 
 
 # each of these is a process
 
 
-def _serve(end: socket.socket, endpoint: str, folder: str, answer: Connection) -> None:
+def serve(end: socket.socket, endpoint: str, folder: str, answer: Connection) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     ending = EndRequest()
     ending.listen()
@@ -168,10 +172,10 @@ def _serve(end: socket.socket, endpoint: str, folder: str, answer: Connection) -
         service.run()
     recorder.close(READY_S)
     latch.close()
-    answer.send(Served(noting.late_ns, noting.work_ns, noting.stages))
+    answer.send(Served(noting.begun_ns, noting.late_ns, noting.work_ns, noting.stages, recorder.dropped))
 
 
-def _simulate(end: socket.socket, _answer: Connection) -> None:
+def simulate(end: socket.socket, _answer: Connection) -> None:
     logging.disable(logging.WARNING)
     config, _ = _config(Path())
     stop = threading.Event()
@@ -218,19 +222,19 @@ def _listen(endpoint: str, answer: Connection) -> None:
 def measure() -> dict[str, float]:
     """Microseconds. `rest`: what the service adds to bare Zenoh and to the half period that a command waits for."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    endpoints = [f"tcp/127.0.0.1:{_free_port()}" for _ in range(2)]
+    endpoints = [f"tcp/127.0.0.1:{free_port()}" for _ in range(2)]
     with (
         tempfile.TemporaryDirectory() as folder,
-        _Child(_simulate, theirs),
-        _Child(_serve, ours, endpoints[0], folder) as service,
-        _Child(_listen, endpoints[1]) as listener,
+        Child(simulate, theirs),
+        Child(serve, ours, endpoints[0], folder) as service,
+        Child(_listen, endpoints[1]) as listener,
         Client(ROBOT, connect=endpoints[:1]) as client,
         Commander(endpoints) as commander,
     ):
         if not client.wait_alive(READY_S):
             raise RuntimeError("the service does not start")
         commander.start(client)
-        with _Child(_empty) as empty:
+        with Child(_empty) as empty:
             commander.drive()
             empty_ns = empty.end()
         heard, served = listener.end(), service.end()
@@ -291,7 +295,7 @@ class Commander:
         self._twist.put(payload)
 
 
-class _Child:
+class Child:
     """A process that answers once, when it is told to end; only then its answer is waited for."""
 
     def __init__(self, target: Callable[..., None], *arguments: object) -> None:
@@ -301,7 +305,13 @@ class _Child:
         self._process.start()
         answer.close()
 
-    def __enter__(self) -> "_Child":
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def __enter__(self) -> "Child":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -321,7 +331,7 @@ def _config(folder: Path) -> tuple[RobotConfig, str]:
     return stored(parse(text, ROBOT), folder), text
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -343,10 +353,10 @@ def _figures(
     figures = {"live_commands": float(len(mine)), "live_cycles": float(len(served.late_ns))}
     shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
     for name, all_ns in (("loop", served.late_ns[SETTLING:]), ("empty_loop", empty_ns[SETTLING:])):
-        figures |= {f"{name}_late_{word}_us": _quantile(all_ns, share) for word, share in shares.items()}
+        figures |= {f"{name}_late_{word}_us": quantile(all_ns, share) for word, share in shares.items()}
     for name, all_ns in parts.items():
-        figures |= {f"{name}_{word}_us": _quantile(all_ns, shares[word]) for word in ("p50", "p99")}
-    figures["loop_work_p50_us"] = _quantile(served.work_ns[SETTLING:], 0.5)
+        figures |= {f"{name}_{word}_us": quantile(all_ns, shares[word]) for word in ("p50", "p99")}
+    figures["loop_work_p50_us"] = quantile(served.work_ns[SETTLING:], 0.5)
     expected = figures["bare_zenoh_p50_us"] + 0.5 * PERIOD_NS * MICRO
     return figures | {
         "bare_zenoh_and_half_period_us": expected,
@@ -354,7 +364,7 @@ def _figures(
     }
 
 
-def _quantile(values: Sequence[int], share: float) -> float:
+def quantile(values: Sequence[int], share: float) -> float:
     """In microseconds."""
     return sorted(values)[min(int(share * len(values)), len(values) - 1)] * MICRO
 

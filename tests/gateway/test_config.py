@@ -247,7 +247,7 @@ def places(table: object, path: tuple[object, ...] = ()) -> list[tuple[object, .
 
 # Everything that the bundled files leave to its default, too.
 MORE: dict[str, Any] = {
-    "zenoh": {"odometry_rate": 50.0, "state_rate": 10.0},
+    "zenoh": {"odometry_rate": 50.0, "state_rate": 10.0, "view_rate": 20.0},
     "recording": {"segment_seconds": 300.0, "segment_bytes": 10**8, "disk_budget": 10**9, "min_free": 10**8},
     "stop": {"category": 1},
 }

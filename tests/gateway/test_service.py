@@ -68,6 +68,7 @@ class FakeLink:
         self.published: list[tuple[int, Status | None]] = []
         self.events: list[Event] = []
         self.extras: Mapping[str, object] = {}
+        self.shown: list[tuple[Inputs, Outputs, CycleTiming]] = []
         self.twist: Twist | None = None
         self.requests: list[Request] = []
         self.broken = ""
@@ -102,6 +103,11 @@ class FakeLink:
         self.published.append((now_ns, status))
         self.events += events
         self.extras = extras or self.extras
+
+    def show(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming) -> None:
+        if self.broken == "show":
+            raise RuntimeError("no view any more")
+        self.shown.append((inputs, outputs, timing))
 
     def codes(self) -> list[str]:
         return [event.code for event in self.events]
@@ -391,6 +397,23 @@ def test_a_recorder_that_raises_is_told_and_driven_without(clock: FakeTime, brok
     recording = stand.link.extras["recording"]
     assert isinstance(recording, dict)
     assert "any more" in str(recording["error"])
+
+
+def test_a_live_view_that_raises_is_told_and_driven_without(clock: FakeTime) -> None:
+    def before(stand: Stand, cycle: int) -> None:
+        clock.now_ns += 1000
+        drive(stand, cycle, Twist(0.5, 0.0, 0.0))
+        if cycle == 600:
+            stand.link.broken = "show"
+        if cycle == 700:
+            assert stand.true_speed() > 0.45
+            stand.link.broken = ""
+            stand.ending.ask("a test")
+
+    stand = Stand(before).run()
+    assert stand.code == 0
+    assert stand.link.codes().count("view_lost") == 1
+    assert stand.link.shown == stand.recorder.records[:600], "as recorded, and not again once it has failed"
 
 
 @pytest.mark.pure_python
