@@ -248,7 +248,8 @@ REFUSALS = Table(
 REQUESTS = Table(
     "requests",
     {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT}
-    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT},
+    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT}
+    | {"text": Kind.MAYBE_TEXT},
     _request_rows,
     each(_request),
 )
