@@ -38,12 +38,10 @@ class Given:
         return self.answer
 
 
-def short(
-    config: RobotConfig, directory: Path, *, pre: float = PRE_S, post: float = POST_S, **recording: object
-) -> RobotConfig:
+def short(config: RobotConfig, directory: Path, *, pre: float = PRE_S, min_free: int = 1_000_000) -> RobotConfig:
     """The same robot, with short incidents in this directory."""
-    incidents = config.recording.incidents.model_copy(update={"pre": pre, "post": post})
-    return stored(config, directory, incidents=incidents, **recording)
+    incidents = config.recording.incidents.model_copy(update={"pre": pre, "post": POST_S})
+    return stored(config, directory, incidents=incidents, min_free=min_free)
 
 
 def with_budget(config: RobotConfig, budget: int) -> RobotConfig:
