@@ -174,6 +174,13 @@ class Client:
         """
         return self._ask(keys.SET, messages.encode_setting(setting, value), timeout)
 
+    def mark(self, text: str, timeout: float = 2.0) -> ResetAnswer:
+        """Words to be found in the recording, and the seconds around them kept as an incident.
+
+        Raises ValueError for what is not 1 to 200 printable characters.
+        """
+        return self._ask(keys.MARK, messages.encode_mark(text), timeout)
+
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""
         payload = self._get(keys.STATUS, timeout)

@@ -276,10 +276,23 @@ class Zenoh(Section):
     view_rate: Annotated[float, Field(ge=1.0, le=50.0)] = 20.0  # Hz, of what is sent to those who look on
 
 
+class Incidents(Section):
+    """What is kept of a fault, an emergency stop, a lost motor or a person's mark, each in a file of its own.
+
+    pre, post: s in front of it and behind it. budget: all of this robot's together; the oldest go.
+    """
+
+    enabled: bool = True
+    pre: Annotated[float, Field(ge=1.0, le=120.0, description="s")] = 20.0
+    post: Annotated[float, Field(ge=0.5, le=60.0, description="s")] = 5.0
+    budget: Bytes = 500_000_000
+
+
 class Recording(Section):
     """Where sessions go and how much disk they may take; a relative directory is relative to the working one.
 
     disk_budget: all sessions of this robot together, the running one included; a segment has at most half of it.
+    enabled: of the sessions; incidents are kept without them, too.
     """
 
     enabled: bool = True
@@ -288,6 +301,7 @@ class Recording(Section):
     segment_bytes: Bytes = 256_000_000
     disk_budget: Bytes = 20_000_000_000
     min_free: Bytes = 500_000_000
+    incidents: Incidents = Incidents()
 
 
 class RobotConfig(Section):

@@ -86,7 +86,7 @@ class RecorderEdge(Protocol):
 
     def put(self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State]) -> None: ...
 
-    def poll(self) -> None: ...
+    def poll(self) -> Sequence[Event]: ...
 
     def health(self) -> dict[str, object]: ...
 
@@ -257,7 +257,8 @@ class Service:
             self._publish(now_ns, odometry=outputs.odometry)
         self._notifier.feed_watchdog(now_ns)
         if outputs.status is not None:
-            self._try(self._recorder.poll, None, self._lose_recorder)
+            nothing: Sequence[Event] = ()
+            self._own_events += self._try(self._recorder.poll, nothing, self._lose_recorder)
         if self._after_cycle is not None:
             self._try(partial(self._after_cycle, now_ns, outputs), None, self._lose_link)
 

@@ -167,13 +167,14 @@ class RequestKind(Enum):
     SET = "set"  # another value of a setting
     STAND_UP = "stand_up"  # somebody holds a robot that is to balance
     LET_DOWN = "let_down"  # somebody holds a robot that is to balance no more
+    MARK = "mark"  # a person's words to be found in the recording; nothing comes of it
 
 
 class Request(NamedTuple):
     """One request; `id` ties the reply to it (0: nobody waits for a reply).
 
     Only of a REFERENCE: `motor`, None for the only steered joint, and `angle`, rad at the output from its zero.
-    Only of a SET: `setting`, its name, and `value`, in its unit.
+    Only of a SET: `setting`, its name, and `value`, in its unit. Only of a MARK: `text`, the words.
     """
 
     kind: RequestKind
@@ -183,6 +184,7 @@ class Request(NamedTuple):
     angle: float | None = None
     setting: str | None = None
     value: float | None = None
+    text: str | None = None
 
 
 class BusEventKind(Enum):

@@ -30,6 +30,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "reference": "reference",
     "stand": "stand",
     "set": "setting",
+    "mark": "mark",
     "calibrate": "calibrate",
     "demo": "demo",
     "sim": "sim",

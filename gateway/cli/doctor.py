@@ -104,7 +104,7 @@ def _robot(path: Path) -> Iterator[Finding]:
             yield from judge.interface(bus, _link(bus))
     yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
     directory = SESSIONS / path.stem if path.parent == INSTALLED else Path(config.recording.directory)
-    if config.recording.enabled:
+    if config.recording.enabled or config.recording.incidents.enabled:
         limits = config.recording
         yield judge.disk(str(directory), free=_free(directory), min_free=limits.min_free, budget=limits.disk_budget)
     answers = {text: _ask(config.robot.name, text) for text in config.zenoh.listen}

@@ -12,6 +12,7 @@ from rich.table import Table
 from gateway.cli import replay_bisect, replay_inject, replay_io, replay_report
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_files import repair
+from gateway.cli.replay_incidents import incidents
 from gateway.cli.replay_verify import verify
 from gateway.cli.replay_whatif import whatif
 from gateway.config import ConfigError
@@ -40,6 +41,7 @@ replay_bisect.register(replay)
 replay_inject.register(replay)
 replay_io.register(replay)
 replay_report.register(replay)
+replay.command()(incidents)
 replay.command()(repair)
 replay.command()(verify)
 replay.command()(whatif)

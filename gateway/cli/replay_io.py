@@ -71,6 +71,8 @@ def _show(found: Summary) -> None:
         table.add_row("imported from", found.imported)
     if found.cut_from is not None:
         table.add_row("a piece of", found.cut_from)
+    for title, lines in _incident(found):
+        table.add_row(title, "\n".join(_first(lines)) or "none")
     table.add_row("began", found.began or "nothing was recorded")
     if found.first_cycle is not None:
         table.add_row(
@@ -86,6 +88,20 @@ def _show(found: Summary) -> None:
         table.add_row(title, "\n".join(_first(lines)) or "none")
     table.add_row("complete", "yes" if found.complete else "no: " + "\n".join(_first(found.problems)))
     console.print(table, highlight=False, markup=False)
+
+
+def _incident(found: Summary) -> list[tuple[str, list[str]]]:
+    incident = found.incident
+    if incident is None:
+        return []
+    told = [f"{utc(cause.wall_ns)} {cause.code}: {cause.text}" for cause in incident.causes]
+    more = [f"and {incident.more} more"] if incident.more else []
+    buses = [
+        f"{bus.name}: {bus.state or 'nothing told'}{f' ({bus.text})' if bus.text else ''}" for bus in incident.buses
+    ]
+    judged = incident.judgement
+    verdict = [] if judged is None else [judged.verdict + (f": {judged.difference}" if judged.difference else "")]
+    return [("kept for", [*told, *more]), ("buses then", buses), ("verdict then", verdict)]
 
 
 def _lists(found: Summary) -> list[tuple[str, list[str]]]:

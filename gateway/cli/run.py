@@ -71,7 +71,8 @@ def run(
         latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
         stack.callback(latch.close)
         told = None if simulated is None else (plant or PlantName.SIMPLE).value
-        recorder = Recorder(config, text, str(path), plant=told) if config.recording.enabled else NullRecorder()
+        wanted = config.recording.enabled or config.recording.incidents.enabled
+        recorder = Recorder(config, text, str(path), plant=told) if wanted else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))
         realtime.enter()  # now that every thread of the link exists

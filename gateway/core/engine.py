@@ -472,6 +472,8 @@ class Engine:
                 refusal = self._settings.set(request.setting, request.value)
             elif request.kind in POSTURES:
                 refusal = self._pose_as_asked(request.kind)
+            elif request.kind is RequestKind.MARK:
+                refusal = None
             else:
                 continue
             replies.append(Reply(request.id, refusal is None, refusal))

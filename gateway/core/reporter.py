@@ -156,10 +156,10 @@ class Reporter:
 
     def _reply(self, request: Request, reply: Reply, now_ns: int) -> list[Event]:
         kind, setting = request.kind.value, request.kind is RequestKind.SET
-        # What is asked to be set, and to what, are as many kinds as people like to send.
+        # What is asked to be set, and to what, and words are as many kinds as people like to send.
         count = self._throttle.admit((kind, reply.ok, None if setting else reply.reason), now_ns)
         if reply.ok:
-            granted = f"{request.setting} = {request.value:g}" if setting else "granted"
+            granted = f"{request.setting} = {request.value:g}" if setting else request.text or "granted"
             return _counted(Level.INFO, kind, granted, count)
         return _counted(Level.WARNING, f"{kind}_refused", str(reply.reason), count)
 

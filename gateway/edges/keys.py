@@ -4,6 +4,7 @@ STOP = "cmd/stop"  # anything put here is an emergency stop
 RESET = "cmd/reset"  # asked
 REFERENCE = "cmd/reference"  # asked
 SET = "cmd/set"  # asked
+MARK = "cmd/mark"  # asked
 COMMANDS = "cmd/**"
 SENSORS = "sensor/**"
 STAND_UP = "cmd/stand_up"  # asked

@@ -8,6 +8,7 @@
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
 | `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
+| `cmd/mark`           | get        | `{"text": words}`, an event and an incident of their own; reply as to a reset  |
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
@@ -71,6 +72,7 @@ MAX_ANGLE = 6.3  # rad: one turn of a steered joint either way
 MAX_HEADING = 1e6  # rad; a gyro that turned for days, and a double still tells its microradians
 MAX_LEAN = 3.15  # rad: upside down
 MAX_RANGE = 1000.0  # m
+MAX_WORDS = 200  # characters of a mark
 SENDER_PATTERN = r"^[A-Za-z0-9_.-]{1,32}$"
 MAX_SHOWN = 40  # characters of a stranger's value in a message
 
@@ -97,6 +99,7 @@ _ALLOWED = {
     "setting": f"the name of a setting, matching {NAME_PATTERN}",
     "value": f"a number from {-MAX_SETTING:g} to {MAX_SETTING:g}",
     "angle": f"a number from {-MAX_ANGLE:g} to {MAX_ANGLE:g} rad",
+    "text": f"1 to {MAX_WORDS} printable characters in one line",
 }
 _CODES = {
     "finite_number": RefusalCode.NOT_FINITE,
@@ -181,6 +184,21 @@ class _SettingPayload(BaseModel):
     value: Annotated[float, Field(ge=-MAX_SETTING, le=MAX_SETTING)]
 
 
+class _MarkPayload(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    text: Annotated[str, Field(min_length=1, max_length=MAX_WORDS)]
+
+    @field_validator("text")
+    @classmethod
+    def _one_line(cls, text: str) -> str:
+        """Words go into logs and onto terminals, which obey control characters."""
+        if not text.isprintable() or text.isspace():
+            message = "not printable"
+            raise ValueError(message)
+        return text
+
+
 class TwistMessage(NamedTuple):
     """A command as it came; `stamp_ns`: when it was sent by its sender's clock, None: not told."""
 
@@ -207,6 +225,12 @@ class SettingChange(NamedTuple):
 
     setting: str
     value: float
+
+
+class Mark(NamedTuple):
+    """Words of a person, to be found in the recording."""
+
+    text: str
 
 
 class OdometryMessage(NamedTuple):
@@ -390,6 +414,22 @@ def encode_setting(setting: str, value: SupportsFloat) -> bytes:
     return _checked({"setting": setting, "value": _number("value", value)}, _SettingPayload)
 
 
+def parse_mark(payload: bytes) -> Mark | str:
+    """The words of a `cmd/mark`, or what is wrong with them. Total: no payload raises."""
+    try:
+        parsed = _MarkPayload.model_validate(_document(payload))
+    except ValidationError as error:
+        return _reason(error, _MarkPayload)[1]
+    except _UnreadableError as error:
+        return str(error)
+    return Mark(parsed.text)
+
+
+def encode_mark(text: str) -> bytes:
+    """Payload of a `cmd/mark`. Raises ValueError, naming the range."""
+    return _checked({"text": text}, _MarkPayload)
+
+
 def encode_odometry(odometry: Odometry, now_ns: int) -> bytes:
     """Payload of `odometry`."""
     twist = odometry.twist._asdict() if odometry.twist else dict.fromkeys(Twist._fields)
@@ -441,7 +481,7 @@ def encode_truth(pose: Pose, t: float) -> bytes:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Answer of `cmd/reset`, `cmd/reference` and `cmd/set`."""
+    """Answer of whatever is asked under `cmd/`."""
     return _json(ResetAnswer(reply.ok, reply.reason))
 
 

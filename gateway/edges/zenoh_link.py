@@ -270,6 +270,11 @@ def _set(payload: bytes, received_ns: int) -> Request | str:
     return Request(RequestKind.SET, 0, received_ns, setting=change.setting, value=change.value)
 
 
+def _mark(payload: bytes, received_ns: int) -> Request | str:
+    mark = messages.parse_mark(payload)
+    return mark if isinstance(mark, str) else Request(RequestKind.MARK, 0, received_ns, text=mark.text)
+
+
 def _bare(kind: RequestKind, _: bytes, received_ns: int) -> Request:
     """One that has nothing to say but its kind."""
     return Request(kind, 0, received_ns)
@@ -281,4 +286,5 @@ QUESTIONS: Mapping[str, Callable[[bytes, int], Request | str]] = {
     keys.LET_DOWN: partial(_bare, RequestKind.LET_DOWN),
     keys.REFERENCE: _reference,
     keys.SET: _set,
+    keys.MARK: _mark,
 }

@@ -7,6 +7,7 @@ is older is read from that and never from a clock, which may start in 1970. Whoe
 its folder, which the kernel frees with the process. Room is made among the sessions of one robot only: older sessions
 first, then the oldest closed segments of the one being written. Links are neither followed nor deleted. What a segment
 cannot say of its own last bytes stands beside it in `SHA256SUMS`, as the program of that name writes it.
+Incidents are single files in a folder of their own, with a number each, and room of their own.
 """
 
 import contextlib
@@ -22,6 +23,7 @@ from typing import NamedTuple
 
 FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
 SUMS = "SHA256SUMS"
+INCIDENTS = "incidents"  # folder in the directory of the sessions
 _NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
 _SUM = re.compile(r"([0-9a-f]{64})  (segment-\d{5,}\.rrd)")
@@ -38,7 +40,7 @@ class Disposable(NamedTuple):
 
 def new_session(directory: Path, robot: str, started_wall_ns: int) -> Path:
     """Make the folder of a new session: robot, UTC start, and a number if there is one of that name already."""
-    stamp = datetime.fromtimestamp(started_wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
+    stamp = _stamp(started_wall_ns)
     directory.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
     after = max((_number(path) for path in sessions(directory, robot)), default=0)
     number = 1
@@ -109,6 +111,19 @@ def noted_sums(folder: Path) -> dict[str, str] | None:
     except FileNotFoundError:
         return None
     return {match[2]: match[1] for match in map(_SUM.fullmatch, text.splitlines()) if match}
+
+
+def incidents(folder: Path, robot: str) -> list[tuple[int, Path]]:
+    """Incidents of this robot with their numbers, oldest first."""
+    name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}Z-[a-z_]+-(\d{{1,{_DIGITS}}})\.rrd")
+    found = ((name.fullmatch(path.name), path) for path in folder.iterdir())
+    return sorted((int(match[1]), path) for match, path in found if match and not path.is_symlink())
+
+
+def new_incident(folder: Path, robot: str, wall_ns: int, cause: str) -> str:
+    """Name of one, without suffix: robot, UTC, cause, and a number that is larger than all there are."""
+    number = max((number for number, _ in incidents(folder, robot)), default=0) + 1
+    return f"{robot}-{_stamp(wall_ns)}-{cause}-{number}"
 
 
 def free_bytes(folder: Path) -> int:
@@ -198,6 +213,10 @@ def _own_bytes(segment: Path) -> int:
     except OSError:
         return 0
     return found.st_size if stat.S_ISREG(found.st_mode) else 0
+
+
+def _stamp(wall_ns: int) -> str:
+    return datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
 def _number(folder: Path) -> int:

@@ -59,11 +59,25 @@ class End(msgspec.Struct, frozen=True, array_like=True, tag="end"):
     """The last packet of a service that ends in order: every cycle has come before it, or its gap has."""
 
 
+class IncidentReport(NamedTuple):
+    """How incidents stand, since the start of the recorder process: how many are kept, and how many could not be.
+
+    `file`: the last one kept; `error`: of the last one, None: it is kept; `pending`: one is being collected or written.
+    """
+
+    kept: int
+    failed: int
+    file: str | None
+    error: str | None
+    pending: bool
+
+
 class RecorderReport(NamedTuple):
     """State of the recorder process; each report replaces the one before.
 
     `records` came in and are dealt with, the last of them `settled_cycle`; `lost` of them are not on the disk.
     `error` None: all is well. `chain`: value of the digest chain (`gateway.recording.chain`) up to there, hex.
+    `folder`: empty where no session is recorded. `incidents`: None: none are to be kept.
     """
 
     folder: str
@@ -74,6 +88,7 @@ class RecorderReport(NamedTuple):
     error: str | None
     closed: bool
     chain: str | None = None
+    incidents: IncidentReport | None = None
 
 
 Packet = Record | Snapshot | Gap | End

@@ -6,6 +6,8 @@ The service keeps one end of a socket pair and gives the other to this process. 
 come, so that a sending service never has to wake anybody. End of file (the service closed, or died in any way) means:
 write what is left, close the footer, go; the session counts as ended only if the service said so before. The signals
 that end the service are blocked here from birth. Killed itself, it loses what has come since the last batch.
+Everything also passes by what keeps incidents (`gateway.recording.incidents`), for which alone this process is there
+where no sessions are to be recorded; then it does without Rerun.
 """
 
 import contextlib
@@ -16,9 +18,12 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from typing import NoReturn
+from pathlib import Path
+from typing import NamedTuple, NoReturn, Protocol
 
 from gateway.config import RobotConfig
+from gateway.recording.failures import RecordingOffError, WriterDeadError
+from gateway.recording.incidents import Keeper, keeper
 from gateway.recording.packets import (
     PACKET_LIMIT,
     End,
@@ -32,8 +37,6 @@ from gateway.recording.packets import (
     decode_packet,
     encode,
 )
-from gateway.recording.segment import RecordingOffError, WriterDeadError
-from gateway.recording.writer import SessionWriter
 
 logger = logging.getLogger(__name__)
 
@@ -44,6 +47,49 @@ DRAIN_PERIOD_S = 0.02
 EXIT_REFUSED = 78  # EX_CONFIG of sysexits.h
 EXIT_WRITER_DEAD = 75  # EX_TEMPFAIL of sysexits.h
 WRITE_LIMIT_S = 10  # for one batch, segment or end; a flush gives up after 3 s
+
+
+class Writer(Protocol):
+    """What is recorded to, batch by batch (`gateway.recording.writer`)."""
+
+    def open(self) -> None: ...
+
+    def write(self, records: Sequence[Record], gaps: Sequence[Gap] = (), snapshot: Snapshot | None = None) -> None: ...
+
+    def close(self, *, ended: bool = True) -> None: ...
+
+    def report(self) -> RecorderReport: ...
+
+
+class Unrecorded:
+    """Stands in where no session is to be recorded."""
+
+    def __init__(self) -> None:
+        self._report = RecorderReport("", 0, 0, None, 0, None, closed=False)
+
+    def open(self) -> None:
+        """There is nothing to open."""
+
+    def write(self, records: Sequence[Record], gaps: Sequence[Gap] = (), snapshot: Snapshot | None = None) -> None:
+        """Count it as dealt with."""
+        if records:
+            count, last = self._report.records + len(records), records[-1].inputs.cycle
+            self._report = self._report._replace(records=count, settled_cycle=last)
+
+    def close(self, *, ended: bool = True) -> None:
+        """Nothing is left."""
+        self._report = self._report._replace(closed=True)
+
+    def report(self) -> RecorderReport:
+        """That there is no session."""
+        return self._report
+
+
+class Taken(NamedTuple):
+    """A packet, and as it came."""
+
+    packet: Packet
+    raw: bytes
 
 
 class Inbox:
@@ -60,9 +106,9 @@ class Inbox:
         length = self._socket.recv_into(self._buffer)
         return decode_hello(self._view[:length]) if length else None
 
-    def take(self, limit: int) -> list[Packet]:
+    def take(self, limit: int) -> list[Taken]:
         """What has come so far, without waiting."""
-        packets: list[Packet] = []
+        packets: list[Taken] = []
         while len(packets) < limit:
             try:
                 length = self._socket.recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
@@ -73,7 +119,8 @@ class Inbox:
             if not length:
                 self.ended = True
                 break
-            packets.append(decode_packet(self._view[:length]))
+            raw = bytes(self._view[:length])
+            packets.append(Taken(decode_packet(raw), raw))
         return packets
 
     def send(self, report: RecorderReport) -> None:
@@ -84,11 +131,11 @@ class Inbox:
             return
 
 
-def record(inbox: Inbox, writer: SessionWriter) -> None:
+def record(inbox: Inbox, writer: Writer, incidents: Keeper) -> None:
     """Until end of file. Raises WriterDeadError, RecordingOffError."""
     with _within_limit():
         writer.open()
-    inbox.send(writer.report())
+    _tell(inbox, writer, incidents)
     records: list[Record] = []
     gaps: list[Gap] = []
     snapshot: Snapshot | None = None
@@ -96,7 +143,8 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
     ended = False
     while not inbox.ended:
         before = len(records)
-        for packet in inbox.take(BATCH_RECORDS - len(records)):
+        for packet, raw in inbox.take(BATCH_RECORDS - len(records)):
+            incidents.take(packet, raw)
             if isinstance(packet, End):
                 ended = True
                 continue
@@ -117,15 +165,22 @@ def record(inbox: Inbox, writer: SessionWriter) -> None:
         if records and (at_once or inbox.ended or time.monotonic_ns() >= due_ns):
             with _within_limit():
                 writer.write(records, gaps, snapshot)
-            inbox.send(writer.report())
+            _tell(inbox, writer, incidents)
             records, gaps, snapshot = [], [], None
+        if incidents.poll():
+            _tell(inbox, writer, incidents)
         if not at_once and not inbox.ended:
             time.sleep(DRAIN_PERIOD_S)
     with _within_limit():
         if gaps:
             writer.write((), gaps)
         writer.close(ended=ended)
-    inbox.send(writer.report())
+    incidents.close()
+    _tell(inbox, writer, incidents)
+
+
+def _tell(inbox: Inbox, writer: Writer, incidents: Keeper) -> None:
+    inbox.send(writer.report()._replace(incidents=incidents.report()))
 
 
 def _span_ns(records: Sequence[Record]) -> int:
@@ -140,19 +195,32 @@ def main(descriptor: int) -> int:
     hello = inbox.hello()
     if hello is None:
         return 0
+    config = RobotConfig.model_validate_json(hello.config_json)
     try:
-        writer = SessionWriter(RobotConfig.model_validate_json(hello.config_json), hello)
+        writer = _writer(config, hello)
     except OSError as error:
         return _refuse(inbox, str(error))
+    incidents = keeper(config, hello, Path(writer.report().folder).name or None)
     try:
-        record(inbox, writer)
+        record(inbox, writer, incidents)
     except RecordingOffError as error:
         return _refuse(inbox, str(error))
     except WriterDeadError as error:
-        inbox.send(writer.report()._replace(error=f"the writing thread ended: {error}"))
+        incidents.close()
+        told = writer.report()._replace(error=f"the writing thread ended: {error}", incidents=incidents.report())
+        inbox.send(told)
         logger.warning("the writing thread ended: %s", error)
         _leave(EXIT_WRITER_DEAD)  # at once: to return would drop the stream, and Rerun may wait for its thread then
     return 0
+
+
+def _writer(config: RobotConfig, hello: Hello) -> Writer:
+    """Raises OSError when the folder of a session cannot be made."""
+    if not config.recording.enabled:
+        return Unrecorded()
+    from gateway.recording.writer import SessionWriter  # noqa: PLC0415  # with Rerun, 75 MB
+
+    return SessionWriter(config, hello)
 
 
 def _refuse(inbox: Inbox, text: str) -> int:

@@ -14,7 +14,7 @@ import logging
 import signal
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
@@ -23,8 +23,17 @@ from typing import NamedTuple
 from gateway.config import RobotConfig
 from gateway.core.snapshot import State
 from gateway.recording.child import RecorderChild, TooLongError, recorder_spawner
-from gateway.recording.packets import SNAPSHOT_PERIOD_NS, End, Gap, Hello, Record, Snapshot, encode
-from gateway.types import CycleTiming, Inputs, Outputs
+from gateway.recording.packets import (
+    SNAPSHOT_PERIOD_NS,
+    End,
+    Gap,
+    Hello,
+    IncidentReport,
+    Record,
+    Snapshot,
+    encode,
+)
+from gateway.types import CycleTiming, Event, Inputs, Level, Outputs
 
 logger = logging.getLogger(__name__)
 
@@ -39,6 +48,7 @@ ENDS: dict[int | None, str] = {
     -signal.SIGALRM: "writing was stuck",
     None: "nobody tells how",
 }  # exit codes that deserve words
+NO_INCIDENTS = IncidentReport(0, 0, None, None, pending=False)
 
 
 class RecorderError(RuntimeError):
@@ -77,6 +87,10 @@ class Recorder:
         self._retry_at = 0.0
         self._starting = False
         self._snapshot_due_ns = 0
+        self._keeps_incidents = config.recording.incidents.enabled
+        self._incidents = NO_INCIDENTS
+        self._kept = self._failed = 0  # incidents, by the processes before
+        self._events: list[Event] = []
         self._orders: SimpleQueue[Hello | None] = SimpleQueue()
         self._started: SimpleQueue[RecorderChild | OSError] = SimpleQueue()
         self._spawner = recorder_spawner()
@@ -102,7 +116,12 @@ class Recorder:
             "alive": self.alive,
             "dropped": self.dropped,
             "error": self.error,
+            "incidents": self._incident_health() if self._keeps_incidents else None,
         }
+
+    def _incident_health(self) -> dict[str, object]:
+        now = self._incidents
+        return now._replace(kept=self._kept + now.kept, failed=self._failed + now.failed)._asdict()
 
     def put(
         self, inputs: Inputs, outputs: Outputs, timing: CycleTiming, state: Callable[[], State] | None = None
@@ -136,8 +155,11 @@ class Recorder:
         elif not self._ready() or not self._send(inputs.cycle, packet):
             self._keep(inputs.cycle, packet)
 
-    def poll(self) -> None:
-        """Take in reports, replace a dead process, catch up. Never waits; call it a few times per second."""
+    def poll(self) -> Sequence[Event]:
+        """Take in reports, replace a dead process, catch up; tells of incidents that were kept, and that were not.
+
+        Never waits; call it a few times per second.
+        """
         if self._child is not None:
             self._child.receive()
             self._take_report(self._child)
@@ -149,6 +171,8 @@ class Recorder:
             self._starting = True
             self._orders.put(self._hello)
         self._catch_up()
+        events, self._events = self._events, []
+        return events
 
     def close(self, timeout: float = CLOSE_TIMEOUT_S) -> bool:
         """Flush, write the footer, end the process; False if something is not on the disk by then."""
@@ -183,20 +207,21 @@ class Recorder:
             self.error = f"the recorder process was not ready within {READY_TIMEOUT_S:g} s"
             logger.warning("%s: driving goes on, cycles wait for it", self.error)
             return
-        if report is None or not report.folder:
+        if report is None or report.closed:
             child.kill()
             self._spawner.close()
             raise RecorderError(report.error if report is not None and report.error else "the recorder process ended")
         self._take_report(child)
-        logger.info("recording to %s", self.session)
+        logger.info("recording to %s", self.session or "no session: incidents only")
 
     def _take_report(self, child: RecorderChild) -> None:
         report = child.report
-        if report is None or not report.folder:
+        if report is None:
             return
-        if self.session is None:
-            self.session = Path(report.folder).absolute()
-        self._hello = self._hello._replace(folder=str(self.session), chain=report.chain)
+        self._take_incidents(report.incidents or NO_INCIDENTS)
+        if report.folder:
+            self.session = self.session or Path(report.folder).absolute()
+            self._hello = self._hello._replace(folder=str(self.session), chain=report.chain)
         if report.error != self.error:
             if report.error is not None:
                 logger.warning("recording: %s", report.error)
@@ -205,6 +230,24 @@ class Recorder:
             self.error = report.error
         if report.records:
             self._backoff_s = FIRST_BACKOFF_S
+
+    def _take_incidents(self, now: IncidentReport) -> None:
+        before, self._incidents = self._incidents, now
+        if now.kept > before.kept:
+            self._events.append(Event(Level.INFO, "incident", str(now.file)))
+        if now.failed > before.failed:
+            self._events.append(Event(Level.WARNING, "incident_lost", str(now.error)))
+
+    def _lose_incident(self, reason: str) -> None:
+        """What the dead process has not given to another one is gone with it; what it has may still be written."""
+        before = self._incidents
+        self._kept, self._failed = self._kept + before.kept, self._failed + before.failed
+        self._incidents = NO_INCIDENTS._replace(file=before.file, error=before.error)
+        if before.pending:
+            self._failed += 1
+            error = f"an incident may not be kept: {reason}"
+            self._incidents = self._incidents._replace(error=error)
+            self._events.append(Event(Level.WARNING, "incident_lost", error))
 
     def _bury(self, child: RecorderChild) -> None:
         """What the dead process had taken and not confirmed is lost."""
@@ -222,7 +265,9 @@ class Recorder:
             self._backlog_bytes += len(marker.packet)
         self.error = self.error or reason
         logger.warning("%s; next attempt in %g s", reason, self._backoff_s)
+        self._lose_incident(reason)
         self._child = None
+        self._snapshot_due_ns = 0  # the next process knows no state yet, from which an incident could begin
         self._retry_at = time.monotonic() + self._backoff_s
         self._backoff_s = min(2 * self._backoff_s, LONGEST_BACKOFF_S)
 
@@ -300,7 +345,7 @@ class Recorder:
 
 
 class NullRecorder:
-    """Stands in when the robot file says `recording.enabled = false`."""
+    """Stands in where the robot file wants neither sessions nor incidents."""
 
     session: Path | None = None
     error: str | None = None
@@ -312,12 +357,13 @@ class NullRecorder:
     ) -> None:
         """Forget it."""
 
-    def poll(self) -> None:
+    def poll(self) -> Sequence[Event]:
         """Nothing to do."""
+        return ()
 
     def health(self) -> dict[str, object]:
         """For the robot's status."""
-        return {"session": None, "alive": False, "dropped": 0, "error": None}
+        return {"session": None, "alive": False, "dropped": 0, "error": None, "incidents": None}
 
     def close(self, timeout: float = 0.0) -> bool:
         """Nothing is left behind."""

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from drivers.contract import CanFrame
+from gateway.recording.incident import Incident
 from gateway.recording.packets import Record
 from gateway.types import (
     BusEvent,
@@ -116,6 +117,7 @@ class Header(msgspec.Struct, frozen=True):
     cut_from: str | None = None  # the session of which it is a piece
     imported: str | None = None  # of which log these are the frames; None: a drive of drivegate's own
     chain: str | None = None  # value of the digest chain in front of this segment, hex; None: nothing is in front of it
+    incident: Incident | None = None  # that was kept; None: it is a session, or a piece that somebody has cut
 
 
 HEADER_PATH = "/header"
@@ -248,7 +250,8 @@ REFUSALS = Table(
 REQUESTS = Table(
     "requests",
     {"kind": Kind.TEXT, "id": Kind.INT, "received_ns": Kind.INT}
-    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT},
+    | {"motor": Kind.MAYBE_TEXT, "angle": Kind.MAYBE_FLOAT, "setting": Kind.MAYBE_TEXT, "value": Kind.MAYBE_FLOAT}
+    | {"text": Kind.MAYBE_TEXT},
     _request_rows,
     each(_request),
 )

@@ -124,6 +124,7 @@ def _write(sessions: Sequence[Session], span: _Span, directory: Path) -> Path:
         sealed=True,
         first_cycle=span.first_cycle,
         cut_from=header.cut_from or header.session,
+        incident=None,
     )
     hello = Hello("", header.config_text, header.config_origin, None, started_ns, header.wall_minus_mono_ns)
     writer = SessionWriter(config.model_copy(update={"recording": limits}), hello, told=told)

@@ -180,6 +180,8 @@ def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Clie
             client.reference(one.motor, one.angle or 0.0)
         elif one.kind is RequestKind.SET:
             client.set(str(one.setting), one.value or 0.0)
+        elif one.kind is RequestKind.MARK:
+            client.mark(str(one.text))
         else:
             service.send_signal(signal.SIGTERM)
 

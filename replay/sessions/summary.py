@@ -5,6 +5,9 @@ from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from typing import NamedTuple
 
+import msgspec
+
+from gateway.recording.incident import Incident
 from gateway.recording.packets import Gap
 from gateway.types import Event, Level
 from replay.sessions.cycles import Sketch
@@ -65,13 +68,14 @@ class Summary(NamedTuple):
     commit: str | None
     host: str
     config_origin: str
+    incident: Incident | None = None  # that was kept in this file
 
     def as_json(self) -> dict[str, object]:
         """The documented keys of `--json`."""
         lists = {name: [one._asdict() for one in getattr(self, name)] for name in ("modes", "faults", "segments")} | {
             "gaps": [_gap(gap) for gap in self.gaps]
         }
-        return self._asdict() | lists
+        return self._asdict() | lists | {"incident": None if self.incident is None else _incident(self.incident)}
 
 
 class _Modes:
@@ -134,6 +138,7 @@ def summary(session: Session) -> Summary:
         commit=header.git_commit,
         host=header.host,
         config_origin=header.config_origin,
+        incident=header.incident,
     )
 
 
@@ -157,6 +162,20 @@ def _faults(events: Iterable[tuple[int, Event]], first_ns: int) -> Iterator[Faul
 
 def _seconds(ns: int) -> float:
     return round(ns * 1e-9, 6)
+
+
+def _incident(incident: Incident) -> dict[str, object]:
+    judged = incident.judgement
+    told = ("cycle", "code", "text")
+    return {
+        "causes": [
+            {"at": utc(cause.wall_ns)} | {name: getattr(cause, name) for name in told} for cause in incident.causes
+        ],
+        "more": incident.more,
+        "buses": [msgspec.structs.asdict(bus) for bus in incident.buses],
+        "verdict": None if judged is None else judged.verdict,
+        "difference": None if judged is None else judged.difference,
+    }
 
 
 def _gap(gap: Gap) -> dict[str, object]:

@@ -40,7 +40,7 @@ from gateway.edges.zenoh_link import ZenohLink
 from gateway.edges.zenoh_session import Receivers, open_zenoh
 from gateway.recording.recorder import Recorder
 from gateway.service import Service
-from gateway.types import BusEvent, CycleTiming, Inputs, Mode, Outputs
+from gateway.types import BusEvent, CycleTiming, Event, Inputs, Mode, Outputs
 from replay.sim.server import SimulationServer
 from tests.recordings import stored
 from tests.world import robot_text
@@ -138,8 +138,8 @@ class Noting:
             if command.sequence is not None:
                 self.stages.append(Stages(command.sequence, command.received_ns, inputs.now_ns, self._edge.handed_ns))
 
-    def poll(self) -> None:
-        self._recorder.poll()
+    def poll(self) -> Sequence[Event]:
+        return self._recorder.poll()
 
     def health(self) -> dict[str, object]:
         return self._recorder.health()

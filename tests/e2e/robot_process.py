@@ -11,6 +11,7 @@ from typing import Self
 
 from gateway.client import Client
 from gateway.edges.messages import StateMessage
+from gateway.recording.disk import INCIDENTS
 from gateway.types import Mode
 from replay.compare.verify import Verdict, verify
 from replay.sessions.reader import open_session
@@ -103,7 +104,7 @@ class RobotProcess:
         return self.stream(0.0, 0.0, 0.0, until=in_mode(Mode.DRIVE))
 
     def verify(self) -> Verdict:
-        sessions = sorted(path for path in self.directory.iterdir() if path.is_dir())
+        sessions = sorted(path for path in self.directory.iterdir() if path.is_dir() and path.name != INCIDENTS)
         return verify(open_session(sessions[-1]))
 
 

@@ -248,7 +248,8 @@ def places(table: object, path: tuple[object, ...] = ()) -> list[tuple[object, .
 # Everything that the bundled files leave to its default, too.
 MORE: dict[str, Any] = {
     "zenoh": {"odometry_rate": 50.0, "state_rate": 10.0, "view_rate": 20.0},
-    "recording": {"segment_seconds": 300.0, "segment_bytes": 10**8, "disk_budget": 10**9, "min_free": 10**8},
+    "recording": {"segment_seconds": 300.0, "segment_bytes": 10**8, "disk_budget": 10**9, "min_free": 10**8}
+    | {"incidents": {"pre": 20.0, "post": 5.0, "budget": 10**8}},
     "stop": {"category": 1},
 }
 VOLTS = "omni4_gm6020"  # of which only what the others have not

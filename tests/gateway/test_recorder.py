@@ -20,7 +20,9 @@ from gateway.recording import child as recorder_child
 from gateway.recording import process as recorder_process
 from gateway.recording import recorder as recorder_module
 from gateway.recording.disk import new_session, next_segment, segments
-from gateway.recording.packets import Record
+from gateway.recording.incidents import NoIncidents
+from gateway.recording.packets import Record, RecorderReport
+from gateway.recording.process import Taken, Unrecorded
 from gateway.recording.recorder import NullRecorder, Recorder, RecorderError
 from replay.sessions.reader import Session, open_session
 from tests.drives import drive
@@ -70,6 +72,11 @@ def pid(recorder: Recorder) -> int:
     return recorder._child.pid
 
 
+def health(recorder: Recorder) -> dict[str, object]:
+    """But for the incidents."""
+    return {key: value for key, value in recorder.health().items() if key != "incidents"}
+
+
 def settled(recorder: Recorder) -> int:
     child = recorder._child
     return 0 if child is None or child.report is None else child.report.records
@@ -83,7 +90,7 @@ def read(recorder: Recorder) -> Session:
 def test_everything_put_is_on_the_disk_after_closing(tmp_path: Path) -> None:
     records = list(drive(400))
     recorder = start(tmp_path)
-    assert recorder.health() == {"session": str(recorder.session), "alive": True, "dropped": 0, "error": None}
+    assert health(recorder) == {"session": str(recorder.session), "alive": True, "dropped": 0, "error": None}
     put(recorder, records)
     assert recorder.close()
     session = read(recorder)
@@ -92,7 +99,7 @@ def test_everything_put_is_on_the_disk_after_closing(tmp_path: Path) -> None:
     assert session.gaps == ()
     assert session.config_text == robot_text()
     assert session.path.parent == tmp_path
-    assert recorder.health() == {"session": str(recorder.session), "alive": False, "dropped": 0, "error": None}
+    assert health(recorder) == {"session": str(recorder.session), "alive": False, "dropped": 0, "error": None}
 
 
 def test_the_service_never_waits_for_a_stopped_process(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,11 +140,11 @@ def test_a_killed_process_is_replaced_and_the_gap_is_marked(recorder: Recorder) 
     os.kill(first, signal.SIGKILL)
     until(recorder, lambda: recorder._child is None)
     error = "the recorder process ended (exit code -9)"
-    assert recorder.health() == {"session": str(recorder.session), "alive": False, "dropped": 50, "error": error}
+    assert health(recorder) == {"session": str(recorder.session), "alive": False, "dropped": 50, "error": error}
     put(recorder, records[150:])
     until(recorder, lambda: settled(recorder) == 150)
     assert pid(recorder) != first
-    assert recorder.health() == {"session": str(recorder.session), "alive": True, "dropped": 50, "error": None}
+    assert health(recorder) == {"session": str(recorder.session), "alive": True, "dropped": 50, "error": None}
     assert recorder.close()
     session = read(recorder)
     assert len(session.segments) == 2
@@ -343,11 +350,11 @@ class _Inbox:
         self.ended = False
         self._records = records
 
-    def take(self, limit: int) -> list[Record]:
+    def take(self, limit: int) -> list[Taken]:
         self.taken += 1
         self.ended = self.taken > 1
         assert len(self._records) <= limit
-        return [] if self.ended else list(self._records)
+        return [] if self.ended else [Taken(record, b"") for record in self._records]
 
     def send(self, report: object) -> None:
         """Nobody listens."""
@@ -366,8 +373,8 @@ class _Writer:
     def open(self) -> None:
         """There is nothing to open."""
 
-    def report(self) -> None:
-        """There is nothing to tell."""
+    def report(self) -> RecorderReport:
+        return Unrecorded().report()
 
     def close(self, *, ended: bool) -> None:
         """There is nothing to close."""
@@ -381,7 +388,7 @@ def test_cycles_that_waited_for_a_recorder_do_not_wait_again(
     monkeypatch.setattr(recorder_process, "_within_limit", nullcontext)
     inbox = _Inbox(list(drive(cycles)))
     found = _Writer(inbox)
-    recorder_process.record(inbox, found)  # type: ignore[arg-type]
+    recorder_process.record(inbox, found, NoIncidents())  # type: ignore[arg-type]
     assert found.written == written
 
 
@@ -511,7 +518,7 @@ def test_null_recorder() -> None:
     put(nothing, list(drive(1)))  # type: ignore[arg-type]
     nothing.poll()
     assert nothing.close()
-    assert nothing.health() == {"session": None, "alive": False, "dropped": 0, "error": None}
+    assert nothing.health() == {"session": None, "alive": False, "dropped": 0, "error": None, "incidents": None}
 
 
 def test_names_of_sessions_and_segments(tmp_path: Path) -> None:

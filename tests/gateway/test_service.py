@@ -117,6 +117,7 @@ class FakeRecorder:
     def __init__(self) -> None:
         self.records: list[tuple[Inputs, Outputs, CycleTiming]] = []
         self.dropped = 0
+        self.news: list[Event] = []
 
         self.broken = ""
 
@@ -125,9 +126,11 @@ class FakeRecorder:
             raise RuntimeError("no records any more")
         self.records.append((inputs, outputs, timing))
 
-    def poll(self) -> None:
+    def poll(self) -> Sequence[Event]:
         if self.broken == "poll":
             raise RuntimeError("no reports any more")
+        news, self.news = self.news, []
+        return news
 
     def health(self) -> dict[str, object]:
         if self.broken == "health":

@@ -520,6 +520,26 @@ def test_a_wrong_setting_is_refused_at_once(loop: Loop, stranger: zenoh.Session,
     assert not loop.requests
 
 
+def test_a_mark_is_answered_by_the_loop(loop: Loop, client: Client) -> None:
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(client.mark, "it squeals")
+        loop.until(lambda: loop.requests)
+        (request,) = loop.requests
+        assert (request.kind, request.text) == (RequestKind.MARK, "it squeals")
+        loop.link.reply(Reply(request.id, True, None))
+        assert asking.result() == ResetAnswer(True, None)
+
+
+def test_a_wrong_mark_is_refused_at_once(loop: Loop, stranger: zenoh.Session) -> None:
+    (reply,) = stranger.get("moby/cmd/mark", payload=b'{"text":"two\\nlines"}', timeout=TIMEOUT_S)
+    assert reply.ok is not None
+    answer = decode_reply(reply.ok.payload.to_bytes())
+    assert answer is not None
+    assert "text = 'two\\nlines': must be 1 to 200 printable characters in one line" in str(answer.reason)
+    loop.cycle()
+    assert not loop.requests
+
+
 def test_a_crowd_that_asks_is_answered_each(loop: Loop, stranger: zenoh.Session) -> None:
     """Those in flight by the loop, each with its own words; all others at once that there are too many."""
     answers = list[ResetAnswer | None]()

@@ -145,7 +145,11 @@ inputs = st.builds(
     refusals=st.lists(st.builds(Refusal, texts, st.sampled_from(RefusalCode), texts, integers), max_size=2).map(tuple),
     requests=st.lists(
         st.builds(
-            Request, st.sampled_from(RequestKind), *[integers] * 2, *[st.none() | texts, st.none() | numbers] * 2
+            Request,
+            st.sampled_from(RequestKind),
+            *[integers] * 2,
+            *[st.none() | texts, st.none() | numbers] * 2,
+            st.none() | texts,
         ),
         max_size=2,
     ).map(tuple),

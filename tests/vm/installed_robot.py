@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from gateway.client import Client
 from gateway.edges.messages import StateMessage
+from gateway.recording.disk import INCIDENTS
 from gateway.types import Mode
 from tests.vm.launcher import CHECKOUT
 from tests.vm.vcan_robot import Condition, in_mode, shell
@@ -105,7 +106,8 @@ def install(*arguments: str) -> Done:
 
 def newest_session() -> Path:
     """Folder of the session started last."""
-    return max((path for path in SESSIONS.iterdir() if path.is_dir()), key=lambda path: path.stat().st_ctime_ns)
+    folders = (path for path in SESSIONS.iterdir() if path.is_dir() and path.name != INCIDENTS)
+    return max(folders, key=lambda path: path.stat().st_ctime_ns)
 
 
 def main_pid() -> int:

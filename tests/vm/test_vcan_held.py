@@ -9,7 +9,6 @@ import pytest
 from gateway.edges.messages import StateMessage
 from gateway.types import Mode
 from replay.compare.verify import verify
-from replay.sessions.reader import open_session
 from tests.unread import UNREAD, Unread
 from tests.vm.vcan_robot import GO, ZERO, Condition, VcanRobot, candump, end, fresh_vcan0, heard, in_mode, standing
 from tests.world import NAMES
@@ -46,8 +45,7 @@ def test_a_hangup_brings_it_to_rest_and_releases_the_motors(name: str, tmp_path:
         robot.service.send_signal(signal.SIGHUP)
         robot.stream(GO, in_mode(Mode.STOPPING, Mode.IDLE))
         assert robot.service.wait(60.0) == 0, robot.words()
-        (folder,) = robot.sessions.iterdir()
-        session = open_session(folder)
+        session = robot.session()
         last = [outputs for _, outputs in session.cycles()][-1]
         assert last.mode is Mode.IDLE
         assert heard(log)

@@ -13,6 +13,7 @@ from typing import NamedTuple, Self
 
 from gateway.client import Client
 from gateway.edges.messages import StateMessage, TruthMessage
+from gateway.recording.disk import INCIDENTS
 from gateway.types import Mode
 from replay.sessions.reader import Session, open_session
 from tests.world import ROBOTS
@@ -238,7 +239,11 @@ class VcanRobot:
     def finish(self) -> Session:
         """Ends the service as systemd would; its session."""
         assert end(self.service) == 0, self.words()
-        (folder,) = self.sessions.iterdir()
+        return self.session()
+
+    def session(self) -> Session:
+        """The only one; incidents may lie beside it."""
+        (folder,) = (folder for folder in self.sessions.iterdir() if folder.name != INCIDENTS)
         return open_session(folder)
 
 
