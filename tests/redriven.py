@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.types import ZERO_TWIST, RequestKind, Twist
+from gateway.types import ZERO_TWIST, Mode, RequestKind, Twist
 from replay.sessions.reader import Session, open_session
 from tests.recordings import write_drive
 from tests.world import World
@@ -40,5 +40,5 @@ def short_drive(
         world.run(0.4, ZERO_TWIST)
         world.run(0.8, move)
     world.run(1.0, ZERO_TWIST)
-    world.run(0.5)
+    world.run(1.5, until=lambda outputs: outputs.mode is Mode.IDLE)
     return open_session(write_drive(directory, world))

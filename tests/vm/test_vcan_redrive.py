@@ -1,4 +1,4 @@
-"""Recorded drives once more on the kernel's buses: a robot of each kind, one of them with a bus in front and one behind.
+"""Recorded drives once more on the kernel's buses: a robot of each kind, one with a bus in front and one behind.
 
 The offset-differential one is in test_vcan_replay.py. Their sessions are made in virtual time, in here.
 """
