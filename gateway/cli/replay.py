@@ -29,6 +29,7 @@ from replay.drive.player import play as play_frames
 from replay.drive.recorded_drive import RedriveError
 from replay.drive.redrive import redrive
 from replay.sessions.reader import Session, SessionError, open_session
+from replay.sessions.remote import local, place
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
 
@@ -81,11 +82,11 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
     raise typer.Exit(1 if played.not_sent else _exit_of(opened))
 
 
-def _exit_of(session: Session) -> int:
-    """After a success; says what is missing from the recording."""
+def _exit_of(session: Session, name: str | None = None) -> int:
+    """After a success; says what is missing from the recording, which goes by this name or its path."""
     if session.problem is None:
         return 0
-    complain(f"{session.path}: incomplete: {session.problem}")
+    complain(f"{name or session.path}: incomplete: {session.problem}")
     return EXIT_INCOMPLETE
 
 
@@ -226,7 +227,7 @@ To = Annotated[float, typer.Option("--to", help="s since the first recorded cycl
 
 @replay.command()
 def trace(
-    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    session: replay_io.SessionPlace,
     begin: From = 0.0,
     end: To = inf,
 ) -> None:
@@ -244,7 +245,7 @@ def trace(
 
 @replay.command()
 def can(
-    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    session: replay_io.SessionPlace,
     begin: From = 0.0,
     end: To = inf,
 ) -> None:
@@ -259,13 +260,14 @@ def can(
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[Session]:
+def _told(session: str) -> Iterator[Session]:
     """An opened session to tell of, and the exit code of having told."""
     try:
-        opened = open_session(path)
-        yield opened
+        with local(place(session)) as path:
+            opened = open_session(path)
+            yield opened
+            code = _exit_of(opened, session) if opened.cycle_count else EXIT_NOT_REPLAYABLE
     except (SessionError, ConfigError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
-    code = _exit_of(opened)
-    raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
+    raise typer.Exit(code)
