@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.build import FORM
-from replay.compare.verify import EXIT_IDENTICAL, verify
-from replay.sessions.reader import SessionError, open_session
+from replay.compare.differences import differences
+from replay.compare.verify import EXIT_DIFFERENT, EXIT_IDENTICAL, verify
+from replay.sessions.reader import Session, SessionError, open_session
 
+MOST_SIGNALS = 6  # that are named
 Told = Mapping[str, object]
 
 
 class Verdicts(NamedTuple):
-    """What one machine says, by session: the document of `verify --json`, without how long it took."""
+    """What one machine says, by session: the document of `verify --json` without how long it took, and what differs."""
 
     machine: str
     form: str
@@ -28,11 +30,23 @@ class Verdicts(NamedTuple):
 def verdict(path: Path) -> Told:
     """Of one session; `exit_code` and `problem` of what cannot be read."""
     try:
-        told = verify(open_session(path)).as_json()
+        session = open_session(path)
+        told = verify(session).as_json()
+        signals = _signals(session) if told["exit_code"] == EXIT_DIFFERENT else []
     except (SessionError, ValueError) as error:
-        return {"exit_code": None, "problem": str(error), "first_difference": None}
+        return {"exit_code": None, "problem": str(error), "first_difference": None, "signals": []}
     del told["realtime_ratio"]
-    return told
+    return told | {"signals": signals}
+
+
+def _signals(session: Session) -> list[str]:
+    """Whatever differs, in the order in which it first does."""
+    groups = sorted(differences(session.again()).groups, key=lambda group: group.first_cycle)
+    return [
+        f"{f'{group.motor} ' if group.motor else ''}{group.field} from cycle {group.first_cycle} on"
+        f"{'' if group.largest is None else f' by at most {group.largest:.2g}'}"
+        for group in groups
+    ]
 
 
 def problems(here: Mapping[str, Told], there: Mapping[str, Told]) -> list[str]:
@@ -47,11 +61,10 @@ def problems(here: Mapping[str, Told], there: Mapping[str, Told]) -> list[str]:
 def _problem(here: Told, there: Told | None) -> str | None:
     if there is None:
         return "no verdict"
-    difference = there["first_difference"]
-    if isinstance(difference, Mapping):
-        motor = f" of motor {difference['motor']}" if difference["motor"] else ""
-        what = f"{difference['field']}{motor} is {difference['replayed']}, recorded {difference['recorded']}"
-        return f"cycle {difference['cycle']}: {what}"
+    difference, signals = there["first_difference"], there["signals"]
+    if isinstance(difference, Mapping) and isinstance(signals, list):
+        more = f", and {len(signals) - MOST_SIGNALS} more" if len(signals) > MOST_SIGNALS else ""
+        return f"cycle {difference['cycle']}: {', '.join(signals[:MOST_SIGNALS])}{more}"
     if there["exit_code"] != EXIT_IDENTICAL:
         return f"not identical: {there['problem']}"
     other = [name for name in here if json.dumps(here[name]) != json.dumps(there.get(name))]
