@@ -24,7 +24,7 @@ from pathlib import Path
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
 from gateway.edges.can_bus import interface_exists
-from gateway.edges.messages import QUANTITIES
+from gateway.edges.messages import QUANTITIES, StateMessage
 from gateway.types import Mode, RequestKind, SensorSample, TwistCommand
 from replay.compare.likeness import Comparison, compare, moments
 from replay.drive.recorded_drive import REST_S, Asked, RedriveError, asked, is_shutdown, plant_told
@@ -124,7 +124,8 @@ def _free_port() -> int:
 
 def _on_channels(config: RobotConfig, channel_of: Mapping[str, str]) -> RobotConfig:
     buses = [bus.model_copy(update={"interface": "socketcan", "channel": channel_of[bus.name]}) for bus in config.bus]
-    return config.model_copy(update={"bus": buses})
+    recording = config.recording.model_copy(update={"enabled": True})  # what is not recorded cannot be compared
+    return config.model_copy(update={"bus": buses, "recording": recording})
 
 
 @contextmanager
@@ -144,15 +145,28 @@ def _process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def _await_ready(client: Client, service: Process) -> None:
-    """The service listens, and every motor answers."""
+    """The service listens, its recorder writes, and every motor answers."""
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
         if service.poll() is not None:
             raise RedriveError(f"the service ended with exit code {service.returncode}")
-        if client.wait_for_state(lambda state: state.status.mode is Mode.IDLE and not state.status.faults, 0.5):
+        if client.wait_for_state(lambda state: _waits(state) and _recorded(state) is not None, 0.5):
             return
     state = client.state()
+    if state is not None and _waits(state):
+        raise RedriveError("the service does not record")
     raise RedriveError(f"the service does not get ready: {state.status.reason if state else 'no state received'}")
+
+
+def _waits(state: StateMessage) -> bool:
+    return state.status.mode is Mode.IDLE and not state.status.faults
+
+
+def _recorded(state: StateMessage) -> Path | None:
+    """The session that it writes."""
+    recording = state.extras.get("recording")
+    session = recording.get("session") if isinstance(recording, dict) else None
+    return Path(str(session)) if session else None
 
 
 def _give(given: Sequence[tuple[int, Asked]], config: RobotConfig, client: Client, service: Process) -> None:
@@ -196,7 +210,7 @@ def _finish(client: Client, service: Process, *, told: bool) -> Path:
         client.wait_for_state(lambda now: now.status.standing is True and now.status.winner is None, REST_S)
         service.send_signal(signal.SIGTERM)
     service.wait(END_S)
-    recording = state.extras.get("recording") if state else None
-    if not isinstance(recording, dict) or not recording.get("session"):
+    session = _recorded(state) if state is not None else None
+    if session is None:
         raise RedriveError("the service did not record")
-    return Path(str(recording["session"]))
+    return session
