@@ -61,7 +61,7 @@ def redrive(session: Session, *, channels: Sequence[str], out: Path, tick_ms: in
     try:
         return compare(moments(session), moments(open_session(path)), config, str(path))
     except ValueError as error:
-        raise RedriveError(str(error)) from None
+        raise RedriveError(f"{error} ({path}: {open_session(path).problem or 'complete'})") from None
 
 
 def channel_of_each(buses: Sequence[str], given: Sequence[str]) -> dict[str, str]:
