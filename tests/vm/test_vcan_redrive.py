@@ -12,10 +12,11 @@ from replay.compare.verify import verify
 from replay.sessions.reader import open_session
 from tests.redriven import on_two_buses, short_drive
 from tests.vm.test_vcan_replay import replay
-from tests.vm.vcan_robot import TICK_MS, candump, fresh_vcan0, heard, paced, shell
+from tests.vm.vcan_robot import candump, fresh_vcan0, heard, paced, shell
 
 pytestmark = pytest.mark.vcan
 
+TICK_MS = "10"
 PACE = 0.5  # of the speeds: a command that comes late matters the less
 SLOWER = (  # than the other tests: each robot has more motors, or another bus
     ("\nrate = 50.0\n\n", "\nrate = 15.0\n\n"),  # of a sensor
@@ -44,7 +45,7 @@ def test_each_of_two_buses_on_an_interface_of_its_own(tmp_path: Path) -> None:
     out, log = tmp_path / "second", tmp_path / "candump.log"
     channels = ("--channel", "rear=vcan0", "--channel", "front=vcan1")
     with candump(log, "vcan1"):
-        code, report = replay("run", str(session.path), *channels, "--out", str(out), "--tick", str(TICK_MS))
+        code, report = replay("run", str(session.path), *channels, "--out", str(out), "--tick", TICK_MS)
     assert code == 0, report
     assert report["modes_redriven"] == report["modes_recorded"]
     again = open_session(Path(str(report["session"])))
@@ -57,7 +58,7 @@ def test_each_of_two_buses_on_an_interface_of_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["mecanum4", "odd"])
 def test_the_other_kinds_drive_alike(name: str, tmp_path: Path) -> None:
     session = short_drive(name, tmp_path / "first", edit=slow, pace=PACE)
-    places = ("--channel", "vcan0", "--out", str(tmp_path / "second"), "--tick", str(TICK_MS))
+    places = ("--channel", "vcan0", "--out", str(tmp_path / "second"), "--tick", TICK_MS)
     code, report = replay("run", str(session.path), *places)
     assert code == 0, report
     assert report["modes_redriven"] == report["modes_recorded"]
