@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -50,12 +50,14 @@ def redrive(session: Session, *, channels: Sequence[str], out: Path, tick_ms: in
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drivegate-")))
         file = folder / f"{config.robot.name}.toml"
         file.write_text(as_toml(_on_channels(config, channel_of)), encoding="utf-8")
-        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms), "--plant", plant.value))
         # Its own place for the latch: an emergency stop that a drive ends in must not meet the next one.
         places = ("--out", str(out), "--state", str(folder), "--endpoint", endpoint)
         service = stack.enter_context(_process("run", str(file), *places))
         client = stack.enter_context(Client(config.robot.name, connect=[endpoint]))
-        _await_ready(client, service)
+        _await(client, service, lambda state: _recorded(state) is not None, "the service does not record")
+        # Only now: starting costs a slow computer much, and the recorder must not begin behind the drive.
+        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms), "--plant", plant.value))
+        _await(client, service, _waits, "the service does not get ready")
         _give(given, config, client, service)
         path = _finish(client, service, told=any(is_shutdown(one) for _, one in given))
     try:
@@ -144,21 +146,20 @@ def _process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
             process.wait()
 
 
-def _await_ready(client: Client, service: Process) -> None:
-    """The service listens, its recorder writes, and every motor answers."""
+def _await(client: Client, service: Process, wanted: Callable[[StateMessage], bool], otherwise: str) -> None:
+    """Until its state is as wanted. Raises RedriveError, with what else is said and why it waits, if that never is."""
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
         if service.poll() is not None:
             raise RedriveError(f"the service ended with exit code {service.returncode}")
-        if client.wait_for_state(lambda state: _waits(state) and _recorded(state) is not None, 0.5):
+        if client.wait_for_state(wanted, 0.5):
             return
     state = client.state()
-    if state is not None and _waits(state):
-        raise RedriveError("the service does not record")
-    raise RedriveError(f"the service does not get ready: {state.status.reason if state else 'no state received'}")
+    raise RedriveError(f"{otherwise}: {state.status.reason if state else 'no state received'}")
 
 
 def _waits(state: StateMessage) -> bool:
+    """Every motor answers, and nothing is wrong."""
     return state.status.mode is Mode.IDLE and not state.status.faults
 
 
