@@ -135,6 +135,7 @@ class Service:
         self._after_cycle = after_cycle
         self._period_ns = round(1e9 / config.loop.rate)
         self._stopping_ns = _stopping_ns(config)
+        self._ending_ns = ending_ns(config)
         self._cycle = 0
         self._overruns = 0
         self._unrecorded = 0  # cycles the recorder raised at
@@ -239,9 +240,7 @@ class Service:
 
     def _shutdown_overdue(self, now_ns: int) -> bool:
         """A robot that will not come to rest must not keep the process alive for ever."""
-        # Twice: degraded driving has half the acceleration.
-        limit_ns = 2 * self._stopping_ns + REST_TIMEOUT_NS + SHUTDOWN_GRACE_NS
-        return self._stop_since_ns is not None and now_ns - self._stop_since_ns > limit_ns
+        return self._stop_since_ns is not None and now_ns - self._stop_since_ns > self._ending_ns
 
     # what is told
 
@@ -388,6 +387,12 @@ class Service:
         if text != self._bus_error:
             self._bus_error = text
             logger.error("while ending: %s", text)
+
+
+def ending_ns(config: RobotConfig) -> int:
+    """How long a robot may take to come to rest once its service is told to end."""
+    # Twice: degraded driving has half the acceleration.
+    return 2 * _stopping_ns(config) + REST_TIMEOUT_NS + SHUTDOWN_GRACE_NS
 
 
 def _stopping_ns(config: RobotConfig) -> int:

@@ -26,8 +26,8 @@ from gateway.cli.viewer import LiveViewer, ViewerError
 from gateway.client import Client
 from gateway.config import ConfigError, parse
 from gateway.edges.live_view import Batch, decode_batch
+from gateway.recording.failures import RecordingOffError
 from gateway.recording.live import LiveRecording, Opens
-from gateway.recording.segment import RecordingOffError
 from gateway.types import Event, Level
 
 SILENT_S = 1.5  # without a batch; the slowest view has one every second

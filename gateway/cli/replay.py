@@ -1,7 +1,9 @@
 """`drivegate replay`: what to do with a recorded session."""
 
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from math import inf
 from pathlib import Path
 from typing import Annotated
@@ -19,13 +21,16 @@ from gateway.config import ConfigError
 from gateway.edges.can_adapter import AdapterError, opened
 from gateway.edges.claims import Claims
 from gateway.edges.zenoh_session import LinkError
+from gateway.recording.recorder import RecorderError
 from replay.compare.likeness import Comparison
 from replay.compare.retrace import columns, frames, rows
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE
 from replay.drive.player import Direction, Due, Played, is_alive, recorded, recorded_buses
 from replay.drive.player import play as play_frames
-from replay.drive.redrive import RedriveError, redrive
+from replay.drive.recorded_drive import RedriveError
+from replay.drive.redrive import redrive
 from replay.sessions.reader import Session, SessionError, open_session
+from replay.sessions.remote import local, place
 
 VIRTUAL_CHANNELS = ("vcan", "vxcan")
 
@@ -81,11 +86,11 @@ def play(  # noqa: PLR0917  # a command line: each parameter is an option with a
     raise typer.Exit(1 if played.not_sent else _exit_of(opened))
 
 
-def _exit_of(session: Session) -> int:
-    """After a success; says what is missing from the recording."""
+def _exit_of(session: Session, name: str | None = None) -> int:
+    """After a success; says what is missing from the recording, which goes by this name or its path."""
     if session.problem is None:
         return 0
-    complain(f"{session.path}: incomplete: {session.problem}")
+    complain(f"{name or session.path}: incomplete: {session.problem}")
     return EXIT_INCOMPLETE
 
 
@@ -125,33 +130,86 @@ def _show_played(played: Played, channel: str) -> None:
 
 
 @replay.command()
-def run(
+def run(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
-    channel: Annotated[str, typer.Option(help="A virtual CAN interface, e.g. vcan0.")],
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[BUS=]VCAN",
+            help="A virtual CAN interface, e.g. vcan0; of several buses one for each: front=vcan0.",
+        ),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(metavar="1|max", help="1: real time, on --channel. max: virtual time, without a bus."),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Directory for the session of the new drive.")] = Path("sessions"),
-    tick: Annotated[int, typer.Option(min=1, max=20, help="As of `drivegate sim`.")] = 1,
+    tick: Annotated[int | None, typer.Option(min=1, max=20, help="As of `drivegate sim`, with --channel.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable comparison.")] = False,
 ) -> None:
-    """Give the recorded commands again, to a live service with the simulated robot on this bus, and compare the drives.
+    """Give the recorded commands again, to the simulated robot, and compare the drives.
+
+    With --channel to a live service on virtual CAN interfaces, in real time: kernel, network and threads have no other.
+    With --speed max to the engine of a service, in virtual time and as fast as this computer can: nothing of sockets,
+    of Zenoh or of lateness is in that.
 
     Alike is: the ends within 0.05 m + 2 % of the path and 0.05 rad, the paths within 0.10 m + 2 %, each wheel's speed
     within 3 % of its top speed (rms), and the same sequence of modes. Exit 0 alike, 1 different, 2 not possible,
     3 alike as far as the recording goes, which is incomplete.
     """
     try:
+        virtual = _is_virtual(channel or (), speed, tick)
         out.mkdir(parents=True, exist_ok=True)
         opened = open_session(session)
-        found = redrive(opened, channel=channel, out=out, tick_ms=tick)
-    except (SessionError, RedriveError, ConfigError, LinkError, OSError) as error:
+        found, times = (
+            _redriven_virtually(opened, out)
+            if virtual
+            else (
+                redrive(opened, channels=channel or (), out=out, tick_ms=tick or 1),
+                1.0,
+            )
+        )
+    except (SessionError, RedriveError, RecorderError, ConfigError, LinkError, OSError) as error:
         if json:
             print_json({"similar": False, "problem": str(error)})
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
-        print_json(found.as_json() | {"complete": opened.complete})
+        print_json(found.as_json() | {"complete": opened.complete, "realtime_ratio": round(times, 1)})
     else:
         _show_comparison(found)
+        if virtual:
+            console.print(f"in virtual time, {times:.1f} x real time", highlight=False)
     raise typer.Exit(1 if found.reasons else _exit_of(opened))
+
+
+def _is_virtual(channels: Sequence[str], speed: str | None, tick: int | None) -> bool:
+    """Whether in virtual time. Raises RedriveError for what does not go together."""
+    if channels and speed not in {None, "1"}:
+        raise RedriveError(
+            f"--speed {speed}: a live service on a CAN interface keeps real time, as do kernel and network; "
+            "leave out --speed, or leave out --channel and say --speed max"
+        )
+    if channels:
+        return False
+    if speed != "max":
+        told = "" if speed is None else f"--speed {speed}: "
+        raise RedriveError(
+            f"{told}say on which virtual CAN interface to drive in real time (--channel vcan0, of several buses one "
+            "for each), or --speed max to drive in virtual time, as fast as it goes, without a bus"
+        )
+    if tick is not None:
+        raise RedriveError("--tick belongs to --channel: in virtual time nothing waits for a tick")
+    return True
+
+
+def _redriven_virtually(session: Session, out: Path) -> tuple[Comparison, float]:
+    """The comparison, and how many times faster than real time the drive was."""
+    # Only now: it records, and Rerun costs half a second.
+    redrive_virtually = import_module("replay.drive.redrive_virtual").redrive_virtually
+    wall_ns, begin = time.clock_gettime_ns(time.CLOCK_REALTIME), time.perf_counter()
+    found = redrive_virtually(session, out=out, started_wall_ns=wall_ns)
+    return found.comparison, found.seconds / (time.perf_counter() - begin)
 
 
 def _show_comparison(found: Comparison) -> None:
@@ -173,7 +231,7 @@ To = Annotated[float, typer.Option("--to", help="s since the first recorded cycl
 
 @replay.command()
 def trace(
-    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    session: replay_io.SessionPlace,
     begin: From = 0.0,
     end: To = inf,
 ) -> None:
@@ -191,7 +249,7 @@ def trace(
 
 @replay.command()
 def can(
-    session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
+    session: replay_io.SessionPlace,
     begin: From = 0.0,
     end: To = inf,
 ) -> None:
@@ -206,13 +264,14 @@ def can(
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[Session]:
+def _told(session: str) -> Iterator[Session]:
     """An opened session to tell of, and the exit code of having told."""
     try:
-        opened = open_session(path)
-        yield opened
+        with local(place(session)) as path:
+            opened = open_session(path)
+            yield opened
+            code = _exit_of(opened, session) if opened.cycle_count else EXIT_NOT_REPLAYABLE
     except (SessionError, ConfigError) as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
-    code = _exit_of(opened)
-    raise typer.Exit(code if opened.cycle_count else EXIT_NOT_REPLAYABLE)
+    raise typer.Exit(code)

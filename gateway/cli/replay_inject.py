@@ -21,6 +21,7 @@ from replay.inject.injection import Injected, Recorded, Script, in_words, inject
 from replay.inject.kept import keep
 from replay.sessions.folders import sessions
 from replay.sessions.reader import SessionError, open_session
+from replay.sessions.remote import local, place
 
 EXIT_BROKEN = 1
 PROGRESS_CYCLES = 250
@@ -82,7 +83,7 @@ def inject_faults(
 
 
 def random_campaign(
-    paths: Annotated[list[Path], typer.Argument(help="Session folders, or folders of them.")],
+    paths: Annotated[list[str], typer.Argument(help="Session folders, or folders of them; or URLs of such.")],
     *,
     cycles: Annotated[int, typer.Option(min=1, help="At least so many cycles in all.")] = 1_000_000,
     seed: Annotated[int, typer.Option(min=0, help="Number of the first drive.")] = 0,
@@ -117,12 +118,13 @@ def _script(path: Path | None, faults: list[str], seed: int) -> Script:
     return read.model_copy(update={"at": [*read.at, *said.at], "seed": seed or read.seed})
 
 
-def _drives(paths: list[Path]) -> list[Recorded]:
+def _drives(paths: list[str]) -> list[Recorded]:
     """Of all sessions that can be driven again; the others are told."""
     drives = []
-    for path in sessions(paths):
+    for one in sessions(map(place, paths)):
         try:
-            drives.append(recorded(open_session(path)))
+            with local(one) as path:
+                drives.append(recorded(open_session(path)))
         except (SessionError, ConfigError) as error:
             complain(str(error))
     if not drives:

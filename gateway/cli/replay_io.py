@@ -19,6 +19,7 @@ from replay.logs.export import Format, format_of
 from replay.logs.export import export as write_log
 from replay.logs.logged import LogError
 from replay.sessions.reader import SessionError, open_session
+from replay.sessions.remote import local, place
 from replay.sessions.summary import Stay, Summary, summary, utc
 
 if TYPE_CHECKING:
@@ -27,12 +28,13 @@ if TYPE_CHECKING:
 
 SHOWN = 20  # lines of one list
 
+SessionPlace = Annotated[str, typer.Argument(metavar="SESSION", help="Session folder, or one .rrd file; or its URL.")]
 SessionPath = Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable report.")]
 
 
 def info(
-    session: SessionPath,
+    session: SessionPlace,
     run: Annotated[
         bool, typer.Option("--verify", help="Run it through the core as well, and add the verdict.")
     ] = False,
@@ -44,8 +46,9 @@ def info(
     2: not a session, or one without cycles; 3: incomplete.
     """
     try:
-        found = summary(open_session(session))
-        verdict = verify(open_session(session)) if run else None
+        with local(place(session)) as path:
+            found = summary(open_session(path))
+            verdict = verify(open_session(path)) if run else None
     except (SessionError, ConfigError, OSError) as error:
         _refuse(error, json=json)
     if json:
@@ -124,7 +127,7 @@ def _first(lines: Sequence[str]) -> list[str]:
 
 
 def export(
-    session: SessionPath,
+    session: SessionPlace,
     file: Annotated[Path, typer.Argument(help="What to write; its suffix says as what.")],
     kind: Annotated[Format | None, typer.Option("--format", help="Instead of what the suffix says.")] = None,
     json: Json = False,
@@ -138,9 +141,10 @@ def export(
     of a recording that is incomplete.
     """
     try:
-        found = open_session(session)
-        written = write_log(found, file, kind or format_of(file))
-        problem = found.problem
+        with local(place(session)) as path:
+            found = open_session(path)
+            written = write_log(found, file, kind or format_of(file))
+            problem = found.problem
     except (SessionError, ConfigError, LogError, OSError) as error:
         _refuse(error, json=json)
     if json:
@@ -276,8 +280,8 @@ def _tell_piece(piece: "Piece", *, json: bool) -> None:
 
 
 def diff(
-    first: Annotated[Path, typer.Argument(help="Session of a drive.")],
-    second: Annotated[Path, typer.Argument(help="Session of another drive of the same course.")],
+    first: Annotated[str, typer.Argument(help="Session of a drive.")],
+    second: Annotated[str, typer.Argument(help="Session of another drive of the same course.")],
     json: Json = False,
 ) -> None:
     """Hold two drives of one course against each other: paths, wheel speeds, modes, and what of the robot was another.
@@ -287,9 +291,10 @@ def diff(
     compared; 3: alike as far as the recordings go, of which one is incomplete.
     """
     try:
-        sessions = open_session(first), open_session(second)
-        found = difference(*sessions)
-        complete = all(session.complete for session in sessions)
+        with local(place(first)) as one, local(place(second)) as other:
+            sessions = open_session(one), open_session(other)
+            found = difference(*sessions)
+            complete = all(session.complete for session in sessions)
     except (SessionError, ConfigError, ValueError, OSError) as error:
         _refuse(error, json=json)
     if json:

@@ -22,6 +22,7 @@ from replay.compare.verify import EXIT_DIFFERENT, EXIT_INCOMPLETE, EXIT_NOT_REPL
 from replay.compare.verify import verify as run_verify
 from replay.sessions.folders import sessions
 from replay.sessions.reader import Session, SessionError, open_session
+from replay.sessions.remote import Place, local, place
 
 WORTH_PROCESSES = 4_000_000  # bytes of a session; less is compared before processes have started
 COLOURS = {"identical": "green", "different": "red", "incomplete": "yellow", "not replayable": "yellow"}
@@ -29,7 +30,11 @@ COLOURS = {"identical": "green", "different": "red", "incomplete": "yellow", "no
 
 def verify(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     session: Annotated[
-        list[Path], typer.Argument(metavar="PATH...", help="Session folder, .rrd file, or folder with sessions in it.")
+        list[str],
+        typer.Argument(
+            metavar="PATH...",
+            help="Session folder, .rrd file, or folder with sessions in it; also a URL such as s3://bucket/robots.",
+        ),
     ],
     jobs: Annotated[
         int | None, typer.Option(min=1, max=256, help="Processes side by side. Default: one per processor.")
@@ -59,17 +64,25 @@ def verify(  # noqa: PLR0917  # a command line: each parameter is an option with
     Several paths, or a folder with sessions in it: a line for each session, a summary, and the worst exit code, by
     1, 2, 3, 0. --json is then one document: sessions (each as above with path, robot, seconds and differences) and
     summary. So it is with --scheduler as well, whose workers need DriveGate and the sessions under the same paths.
+
+    A URL with a scheme (s3://, gs://, https://, sftp://, file://, ...) is read through fsspec: whoever compares a
+    session fetches it, and deletes it again before the next one, so each process has one on its disk (in TMPDIR).
     """
-    found = sessions(session)
-    if found == session and len(found) == 1 and scheduler is None:
+    places = list(map(place, session))
+    found = sessions(places)
+    if found == places and len(found) == 1 and scheduler is None:
         raise typer.Exit(_one(found[0], jobs, junit, every=every, json=json))
     try:
         with _pool(scheduler, min(jobs or len(os.sched_getaffinity(0)), len(found))) as pool:
-            exit_code = _many([path.absolute() for path in found] if scheduler else found, pool, junit, json=json)
+            exit_code = _many(list(map(_absolute, found)) if scheduler else found, pool, junit, json=json)
     except ClusterError as error:
         complain(str(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     raise typer.Exit(exit_code)
+
+
+def _absolute(where: Place) -> Place:
+    return where.absolute() if isinstance(where, Path) else where
 
 
 def _pool(scheduler: str | None, wanted: int) -> AbstractContextManager[Executor | None]:
@@ -78,22 +91,23 @@ def _pool(scheduler: str | None, wanted: int) -> AbstractContextManager[Executor
     return processes(wanted) if wanted > 1 else nullcontext()
 
 
-def _one(path: Path, jobs: int | None, junit: Path | None, *, every: bool, json: bool) -> int:
+def _one(where: Place, jobs: int | None, junit: Path | None, *, every: bool, json: bool) -> int:
     """One session, whose cycles processes share; its exit code."""
     found, robot = None, None
     try:
-        session = open_session(path)
-        robot = session.header.robot
-        verdict = verify_with_progress(session, jobs)
-        if verdict.exit_code == EXIT_DIFFERENT and (every or junit is not None or not json):
-            found = differences(session.again())
+        with local(where) as path:
+            session = open_session(path)
+            robot = session.header.robot
+            verdict = verify_with_progress(session, jobs)
+            if verdict.exit_code == EXIT_DIFFERENT and (every or junit is not None or not json):
+                found = differences(session.again())
     except (SessionError, ValueError) as error:
         verdict = not_replayable(str(error))
         complain(str(error))
         if not json:
-            _write(junit, Judged(str(path), robot, verdict, 0.0, None))
+            _write(junit, Judged(str(where), robot, verdict, 0.0, None))
             return EXIT_NOT_REPLAYABLE
-    _write(junit, Judged(str(path), robot, verdict, 0.0, found))
+    _write(junit, Judged(str(where), robot, verdict, 0.0, found))
     if json:
         more = {"differences": None if found is None else found.as_json()} if every else {}
         print_json(verdict.as_json() | more)
@@ -104,13 +118,13 @@ def _one(path: Path, jobs: int | None, junit: Path | None, *, every: bool, json:
     return verdict.exit_code
 
 
-def _many(paths: Sequence[Path], pool: Executor | None, junit: Path | None, *, json: bool) -> int:
+def _many(places: Sequence[Place], pool: Executor | None, junit: Path | None, *, json: bool) -> int:
     """A line for each; the worst exit code."""
     tally, report, told = Tally(), JUnit(), []
     columns = (TextColumn("verifying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as progress:
-        task = progress.add_task("verify", total=len(paths))
-        for one in all_judged(paths, pool):
+        task = progress.add_task("verify", total=len(places))
+        for one in all_judged(places, pool):
             progress.advance(task)
             tally.add(one)
             if junit is not None:

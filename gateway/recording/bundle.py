@@ -25,7 +25,6 @@ import msgspec
 import rerun as rr
 
 from gateway.config import RobotConfig
-from gateway.core.channels import channels_of
 from gateway.recording.blueprint import blueprint
 from gateway.recording.disk import FOLDER_MODE, INCIDENTS, free_bytes, incidents, new_incident, sync
 from gateway.recording.failures import RecordingOffError, WriterDeadError
@@ -37,7 +36,6 @@ from gateway.recording.ring import packets
 from gateway.recording.schema import Header
 from gateway.recording.segment import Segment
 from gateway.recording.views import Views
-from gateway.recording.writer import EYE_HEIGHTS
 
 logger = logging.getLogger(__name__)
 
@@ -104,8 +102,7 @@ def _stored(folder: Path, name: str, config: RobotConfig, told: Header, order: O
 
 def _write(path: Path, config: RobotConfig, told: Header, order: Order) -> None:
     rr.set_strict_mode(True)  # a mistake in a column is an error, not a warning and a hole
-    layout = blueprint(channels_of(config), eye_height=EYE_HEIGHTS * config.robot.drawing().reach)
-    segment = Segment(path, header=told, views=Views(config), blueprint=layout)
+    segment = Segment(path, header=told, views=Views(config), blueprint=blueprint(config))
     last = told.first_cycle
     for batch in _batches(_packets(order)):
         if batch.snapshot is not None:

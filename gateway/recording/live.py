@@ -10,9 +10,9 @@ import rerun.blueprint as rrb
 from gateway.config import RobotConfig
 from gateway.recording.blueprint import blueprint
 from gateway.recording.columns import Times
+from gateway.recording.failures import RecordingOffError
 from gateway.recording.packets import Gap
 from gateway.recording.schema import APPLICATION_ID
-from gateway.recording.segment import RecordingOffError
 from gateway.recording.views import Views, draw_events
 from gateway.types import Event, Sample
 

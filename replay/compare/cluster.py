@@ -1,6 +1,6 @@
 """Verdicts on a Dask cluster instead of processes here: the same function on the same paths, so the same verdicts.
 
-Its workers need DriveGate, and every session under the path that it has here.
+Its workers need DriveGate, and every session under the path that it has here; what a URL names they fetch themselves.
 """
 
 from collections.abc import Iterator

@@ -9,7 +9,6 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
 from typing import NamedTuple
 
 from replay.compare.differences import Differences, differences
@@ -24,6 +23,7 @@ from replay.compare.verify import (
     verify,
 )
 from replay.sessions.reader import SessionError, open_session
+from replay.sessions.remote import Place, local
 
 WORST = (EXIT_DIFFERENT, EXIT_NOT_REPLAYABLE, EXIT_INCOMPLETE, EXIT_IDENTICAL)
 WORDS = {
@@ -78,42 +78,43 @@ def _short(text: str) -> str:
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
-def judged(path: Path) -> Judged:
+def judged(place: Place) -> Judged:
     """The verdict on one session, and all differences if there are any."""
     started, robot, found = time.perf_counter(), None, None
     try:
-        session = open_session(path)
-        robot = session.header.robot
-        verdict = verify(session)
-        if verdict.exit_code == EXIT_DIFFERENT:
-            found = differences(session.again())
+        with local(place) as path:
+            session = open_session(path)
+            robot = session.header.robot
+            verdict = verify(session)
+            if verdict.exit_code == EXIT_DIFFERENT:
+                found = differences(session.again())
     except (SessionError, OSError) as error:
         verdict = not_replayable(str(error))
     except CRASHES as error:  # a robot file that is refused is one of them
-        verdict = not_replayable(f"{path}: {error}")
-    return Judged(str(path), robot, verdict, time.perf_counter() - started, found)
+        verdict = not_replayable(f"{place}: {error}")
+    return Judged(str(place), robot, verdict, time.perf_counter() - started, found)
 
 
-def all_judged(paths: Sequence[Path], pool: Executor | None = None) -> Iterator[Judged]:
+def all_judged(places: Sequence[Place], pool: Executor | None = None) -> Iterator[Judged]:
     """Each in its turn, with a pool some of them ahead; those that a broken pool leaves are judged here.
 
     A pool is processes (`replay.compare.side_by_side`) or a cluster (`replay.compare.cluster`).
     """
     done = 0
     try:
-        for one in map(judged, paths) if pool is None else _ahead(paths, pool):
+        for one in map(judged, places) if pool is None else _ahead(places, pool):
             done += 1
             yield one
     except BrokenProcessPool:
-        yield from map(judged, paths[done:])
+        yield from map(judged, places[done:])
 
 
-def _ahead(paths: Sequence[Path], pool: Executor) -> Iterator[Judged]:
+def _ahead(places: Sequence[Place], pool: Executor) -> Iterator[Judged]:
     """Raises BrokenProcessPool."""
-    waiting: deque[tuple[Path, Future[Judged]]] = deque()
+    waiting: deque[tuple[Place, Future[Judged]]] = deque()
     try:
-        for path in paths:
-            waiting.append((path, pool.submit(judged, path)))
+        for place in places:
+            waiting.append((place, pool.submit(judged, place)))
             if len(waiting) > AHEAD:
                 yield _done(*waiting.popleft())
         while waiting:
@@ -123,14 +124,14 @@ def _ahead(paths: Sequence[Path], pool: Executor) -> Iterator[Judged]:
             future.cancel()
 
 
-def _done(path: Path, future: Future[Judged]) -> Judged:
+def _done(place: Place, future: Future[Judged]) -> Judged:
     """Raises BrokenProcessPool."""
     try:
         return future.result()
     except BrokenProcessPool:
         raise
     except Exception as error:  # of a cluster: a worker that was killed, or that has no DriveGate
-        return Judged(str(path), None, not_replayable(f"{path}: no worker could judge it: {error!r}"), 0.0, None)
+        return Judged(str(place), None, not_replayable(f"{place}: no worker could judge it: {error!r}"), 0.0, None)
 
 
 class Tally:

@@ -3,8 +3,10 @@
 How this works
 --------------
 Service and simulated robot are processes of their own, as in real use; only the channels of the recorded robot file
-are replaced. Every command, emergency stop and reset is given again at its recorded time, counted from the first of
-them; the new session is then compared with the recorded one.
+are replaced, each bus by a virtual interface of its own. Kernel, service and robot keep real time: the clocks behind a
+socket, a Zenoh session or a thread's timeout cannot be told to go faster (`redrive_virtual` has none of these). Once
+every motor answers, each command, emergency stop, reset and sample of a sensor is given again at its recorded time
+(`recorded_drive.asked`); the new session is then compared with the recorded one.
 """
 
 import json
@@ -15,63 +17,84 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from gateway.client import Client
 from gateway.config import RobotConfig, parse
 from gateway.edges.can_bus import interface_exists
-from gateway.edges.messages import QUANTITIES
-from gateway.types import Mode, Request, RequestKind, SensorSample, TwistCommand
+from gateway.edges.messages import QUANTITIES, StateMessage
+from gateway.types import Mode, RequestKind, SensorSample, TwistCommand
 from replay.compare.likeness import Comparison, compare, moments
+from replay.drive.recorded_drive import REST_S, Asked, RedriveError, asked, is_shutdown, plant_told
 from replay.sessions.reader import Session, open_session
-from replay.sim.plants.contract import PlantName
 
 READY_S = 60.0
 Process = subprocess.Popen[bytes]
-REST_S = 15.0
 END_S = 40.0
 
 
-class RedriveError(Exception):
-    """The drive cannot be repeated; the text says why."""
+def redrive(session: Session, *, channels: Sequence[str], out: Path, tick_ms: int) -> Comparison:
+    """Drive again on these virtual channels (see `channel_of_each`) and compare.
 
-
-def redrive(session: Session, *, channel: str, out: Path, tick_ms: int) -> Comparison:
-    """Drive again on this virtual channel and compare. Raises RedriveError, SessionError, ConfigError, LinkError."""
-    _check_channel(channel)
+    Raises RedriveError, SessionError, ConfigError, LinkError.
+    """
     config = parse(session.config_text, "robot file of the session")
-    given, plant = _given(session), plant_told(session)
+    channel_of = channel_of_each([bus.name for bus in config.bus], channels)
+    for channel in channel_of.values():
+        _check_channel(channel)
+    given, plant = asked(session), plant_told(session)
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drivegate-")))
         file = folder / f"{config.robot.name}.toml"
-        file.write_text(as_toml(_on_channel(config, channel)), encoding="utf-8")
-        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms), "--plant", plant.value))
-        service = stack.enter_context(_process("run", str(file), "--out", str(out), "--endpoint", endpoint))
+        file.write_text(as_toml(_on_channels(config, channel_of)), encoding="utf-8")
+        # Its own place for the latch: an emergency stop that a drive ends in must not meet the next one.
+        places = ("--out", str(out), "--state", str(folder), "--endpoint", endpoint)
+        service = stack.enter_context(_process("run", str(file), *places))
         client = stack.enter_context(Client(config.robot.name, connect=[endpoint]))
-        _await_ready(client, service)
+        _await(client, service, lambda state: _recorded(state) is not None, "the service does not record")
+        # Only now: starting costs a slow computer much, and the recorder must not begin behind the drive.
+        stack.enter_context(_process("sim", str(file), "--tick", str(tick_ms), "--plant", plant.value))
+        _await(client, service, _waits, "the service does not get ready")
         _give(given, config, client, service)
-        path = _finish(client, service, told=any(_is_shutdown(one) for _, one in given))
+        path = _finish(client, service, told=any(is_shutdown(one) for _, one in given))
     try:
         return compare(moments(session), moments(open_session(path)), config, str(path))
     except ValueError as error:
-        raise RedriveError(str(error)) from None
+        raise RedriveError(f"{error} ({path}: {open_session(path).problem or 'complete'})") from None
 
 
-def plant_told(session: Session) -> PlantName:
-    """By what the robot of the session moved; of a real one, and where nothing is told, the simple plant.
+def channel_of_each(buses: Sequence[str], given: Sequence[str]) -> dict[str, str]:
+    """The channel of each bus, from BUS=CHANNEL of each, or from CHANNEL alone where there is one bus.
 
-    Raises RedriveError.
+    Raises RedriveError for what is missing, unknown or given twice.
     """
-    told = session.header.plant
-    if told is None:
-        return PlantName.SIMPLE
-    try:
-        return PlantName(told)
-    except ValueError:
-        raise RedriveError(f"its robot moved by plant {told!r}, which is not known here") from None
+    if len(buses) == len(given) == 1 and "=" not in given[0]:
+        return {buses[0]: given[0]}
+    found: dict[str, str] = {}
+    wanted = " ".join(f"--channel {bus}=vcan{place}" for place, bus in enumerate(buses))
+    for text in given:
+        bus, equals, channel = text.partition("=")
+        if not equals or not bus or not channel:
+            raise RedriveError(f"--channel {text}: this robot has {_named(buses)}, each needs its own: {wanted}")
+        if bus not in buses:
+            raise RedriveError(f"--channel {text}: this robot has no bus {bus}, it has {_named(buses)}")
+        if bus in found:
+            raise RedriveError(f"--channel {text}: bus {bus} has {found[bus]} already")
+        taken = next((other for other in found if found[other] == channel), None)
+        if taken is not None:
+            raise RedriveError(f"--channel {text}: {channel} is that of bus {taken}; each bus needs its own: {wanted}")
+        found[bus] = channel
+    missing = [bus for bus in buses if bus not in found]
+    if missing:
+        raise RedriveError(f"no channel for {_named(missing)}: {wanted}")
+    return found
+
+
+def _named(buses: Sequence[str]) -> str:
+    return f"bus{'es' if len(buses) > 1 else ''} {', '.join(buses)}"
 
 
 def as_toml(config: RobotConfig) -> str:
@@ -101,25 +124,10 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _on_channel(config: RobotConfig, channel: str) -> RobotConfig:
-    buses = [bus.model_copy(update={"interface": "socketcan", "channel": channel}) for bus in config.bus]
-    return config.model_copy(update={"bus": buses})
-
-
-_Given = TwistCommand | Request | SensorSample
-
-
-def _given(session: Session) -> list[tuple[int, _Given]]:
-    """What was asked of the robot, in order of arrival, in time since the first command."""
-    asked: list[_Given] = []
-    for inputs, _ in session.cycles():
-        asked += inputs.commands
-        asked += inputs.requests
-        asked += inputs.samples
-    first_ns = next((one.received_ns for one in asked if isinstance(one, TwistCommand)), None)
-    if first_ns is None:
-        raise RedriveError("nothing was commanded in this session")
-    return sorted(((max(one.received_ns - first_ns, 0), one) for one in asked), key=lambda pair: pair[0])
+def _on_channels(config: RobotConfig, channel_of: Mapping[str, str]) -> RobotConfig:
+    buses = [bus.model_copy(update={"interface": "socketcan", "channel": channel_of[bus.name]}) for bus in config.bus]
+    recording = config.recording.model_copy(update={"enabled": True})  # what is not recorded cannot be compared
+    return config.model_copy(update={"bus": buses, "recording": recording})
 
 
 @contextmanager
@@ -138,19 +146,31 @@ def _process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
             process.wait()
 
 
-def _await_ready(client: Client, service: Process) -> None:
-    """The service listens, every motor answers, and it waits for a command."""
+def _await(client: Client, service: Process, wanted: Callable[[StateMessage], bool], otherwise: str) -> None:
+    """Until its state is as wanted. Raises RedriveError, with what else is said and why it waits, if that never is."""
     deadline = time.monotonic() + READY_S
     while time.monotonic() < deadline:
         if service.poll() is not None:
             raise RedriveError(f"the service ended with exit code {service.returncode}")
-        if client.wait_for_state(lambda state: state.status.mode is Mode.IDLE and not state.status.faults, 0.5):
+        if client.wait_for_state(wanted, 0.5):
             return
     state = client.state()
-    raise RedriveError(f"the service does not get ready: {state.status.reason if state else 'no state received'}")
+    raise RedriveError(f"{otherwise}: {state.status.reason if state else 'no state received'}")
 
 
-def _give(given: Sequence[tuple[int, _Given]], config: RobotConfig, client: Client, service: Process) -> None:
+def _waits(state: StateMessage) -> bool:
+    """Every motor answers, and nothing is wrong."""
+    return state.status.mode is Mode.IDLE and not state.status.faults
+
+
+def _recorded(state: StateMessage) -> Path | None:
+    """The session that it writes."""
+    recording = state.extras.get("recording")
+    session = recording.get("session") if isinstance(recording, dict) else None
+    return Path(str(session)) if session else None
+
+
+def _give(given: Sequence[tuple[int, Asked]], config: RobotConfig, client: Client, service: Process) -> None:
     """Everything at its time; a shutdown is the signal that asks for it."""
     kinds = {sensor.name: sensor.kind for sensor in config.sensor}
     begin_ns = time.monotonic_ns()
@@ -193,11 +213,7 @@ def _finish(client: Client, service: Process, *, told: bool) -> Path:
         client.wait_for_state(lambda now: now.status.standing is True and now.status.winner is None, REST_S)
         service.send_signal(signal.SIGTERM)
     service.wait(END_S)
-    recording = state.extras.get("recording") if state else None
-    if not isinstance(recording, dict) or not recording.get("session"):
+    session = _recorded(state) if state is not None else None
+    if session is None:
         raise RedriveError("the service did not record")
-    return Path(str(recording["session"]))
-
-
-def _is_shutdown(one: _Given) -> bool:
-    return isinstance(one, Request) and one.kind is RequestKind.SHUTDOWN
+    return session

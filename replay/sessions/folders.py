@@ -4,17 +4,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from gateway.recording.disk import INCIDENTS, segments
+from replay.sessions.remote import Place, sessions_below
 
 
-def sessions(paths: Iterable[Path]) -> list[Path]:
+def sessions(places: Iterable[Place]) -> list[Place]:
     """Every session in these folders, by name, none twice, and every incident that was kept.
 
-    A path in which there is none stands for itself.
+    A place in which there is none stands for itself.
     """
-    return list(dict.fromkeys(found for path in paths for found in _sessions(path)))
+    return list(dict.fromkeys(found for place in places for found in _sessions(place)))
 
 
-def _sessions(path: Path) -> Sequence[Path]:
+def _sessions(path: Place) -> Sequence[Place]:
+    if isinstance(path, str):
+        return sessions_below(path)
     if not path.is_dir() or segments(path):
         return [path]
     found = {file.parent for file in path.rglob("segment-*.rrd")}

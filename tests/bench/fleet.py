@@ -18,6 +18,7 @@ from replay.compare.cluster import cluster
 from replay.compare.fleet import all_judged
 from replay.compare.side_by_side import processes
 from replay.sessions.folders import sessions
+from replay.sessions.remote import Place
 from tests.bench.sessions import recorded
 from tests.bench.verify import count
 from tests.world import NAMES, World
@@ -68,7 +69,7 @@ def _workers(number: int) -> LocalCluster:
     )
 
 
-def _fleet(folder: Path) -> list[Path]:
+def _fleet(folder: Path) -> list[Place]:
     for name in NAMES:
         world = World(name)
         world.start()
@@ -79,7 +80,7 @@ def _fleet(folder: Path) -> list[Path]:
     return sessions([folder])
 
 
-def _run(paths: list[Path], pool: Executor | None) -> tuple[float, list[tuple[str, int, int]]]:
+def _run(paths: list[Place], pool: Executor | None) -> tuple[float, list[tuple[str, int, int]]]:
     """Seconds and verdicts."""
     started = time.perf_counter()
     found = [(one.path, one.verdict.exit_code, one.verdict.cycles) for one in all_judged(paths, pool)]

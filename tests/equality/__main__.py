@@ -2,7 +2,9 @@
 
 Lane `variants`: on this machine with its vector instructions hidden from the C library and from BLAS, `replay verify`
 and the digest of all outputs. Lane `aarch64`: the core under an emulated arm64, the digest alone; lane `compiled`: the
-same with the core compiled for it, by a compiler that would fuse multiplications and additions if it was let.
+same with the core compiled for it, by a compiler that would fuse multiplications and additions if it was let. In each
+of them the whole sessions of the corpus (tests/corpus.py) are read and verified as well, by that processor, and the
+verdict must be the same document, byte for byte.
 """
 
 import argparse
@@ -19,7 +21,8 @@ from typing import NamedTuple
 
 from gateway.robot_files import bundled
 from tests.compiled import CHECKOUT
-from tests.equality import emulator
+from tests.corpus import FOLDER as CORPUS
+from tests.equality import emulator, verdicts
 from tests.equality.drive import record
 from tests.equality.judge import Judgement
 
@@ -38,10 +41,11 @@ VARIANTS: Mapping[str, Mapping[str, str]] = {
 
 
 class Run(NamedTuple):
-    """What one environment made of the drives; `failure`: what it did not even get to say."""
+    """What one environment made of the drives and of the corpus; `failure`: what it did not even get to say."""
 
     name: str
     judgements: tuple[Judgement, ...] = ()
+    corpus: Mapping[str, verdicts.Told] = {}
     failure: str | None = None
 
 
@@ -54,7 +58,7 @@ def main() -> int:
         folder = Path(directory)
         sessions = {name: record(name, folder) for name in bundled()}
         runs = [_judged("as it is", [sys.executable], folder, _environment(0, {}))]
-        expected = runs[0].judgements
+        expected = runs[0]
         if arguments.lane in {None, "variants"}:
             runs[0] = _verified(runs[0], sessions, _environment(0, {}))
             runs += [_variant(place, name, folder, sessions) for place, name in enumerate(VARIANTS) if place > 0]
@@ -100,13 +104,22 @@ def _emulated(folder: Path, *, compiled: bool) -> Run:
 def _judged(
     name: str, python: Sequence[str], folder: Path, environment: Mapping[str, str], tree: Path = CHECKOUT
 ) -> Run:
-    try:
-        done = emulator.run([*python, "-m", "tests.equality.judge", str(folder)], environment, tree)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return Run(name, failure=str(error))
-    if done.returncode != 0:
-        return Run(name, failure=done.stderr.strip()[-500:] or f"exit {done.returncode}")
-    return Run(name, tuple(Judgement(**one) for one in json.loads(done.stdout)))
+    drives = [*python, "-m", "tests.equality.judge", str(folder)]
+    corpus = [*python, "-m", "tests.equality.verdicts", *map(str, sorted(CORPUS.iterdir()))]
+    said = []
+    for command in (drives, corpus):
+        try:
+            done = emulator.run(command, environment, tree)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return Run(name, failure=str(error))
+        if done.returncode != 0:
+            return Run(name, failure=done.stderr.strip()[-500:] or f"exit {done.returncode}")
+        said.append(json.loads(done.stdout))
+    judgements = tuple(Judgement(**one) for one in said[0])
+    told = verdicts.Verdicts(**said[1])
+    if {(one.machine, one.form) for one in judgements} - {(told.machine, told.form)}:
+        return Run(name, failure=f"the corpus was verified elsewhere: on {told.machine}, {told.form}")
+    return Run(name, judgements, told.sessions)
 
 
 def _verified(run: Run, sessions: Mapping[str, Path], environment: Mapping[str, str]) -> Run:
@@ -132,7 +145,7 @@ def _words(done: subprocess.CompletedProcess[str]) -> str:
         return (done.stderr or done.stdout).strip()[-500:] or f"exit {done.returncode}"
 
 
-def _problems(run: Run, expected: Sequence[Judgement]) -> list[str]:
+def _problems(run: Run, expected: Run) -> list[str]:
     if run.failure is not None:
         return [run.failure]
     problems = [
@@ -141,17 +154,27 @@ def _problems(run: Run, expected: Sequence[Judgement]) -> list[str]:
         if one.first_difference is not None
     ]
     digests = {one.robot: one.digest for one in run.judgements}
-    problems += [f"{one.robot}: other bits than here" for one in expected if digests.get(one.robot) != one.digest]
-    return problems or ([] if expected else ["no drive was judged"])
+    problems += [
+        f"{one.robot}: other bits than here" for one in expected.judgements if digests.get(one.robot) != one.digest
+    ]
+    problems += verdicts.problems(expected.corpus, run.corpus)
+    nothing = [f"no {what} was judged" for what, there in _judgeable(expected) if not there]
+    return problems or nothing
 
 
-def _line(run: Run, expected: Sequence[Judgement]) -> str:
+def _judgeable(expected: Run) -> list[tuple[str, bool]]:
+    return [("drive", bool(expected.judgements)), ("session of the corpus", bool(expected.corpus))]
+
+
+def _line(run: Run, expected: Run) -> str:
     problems = _problems(run, expected)
     if problems:
         return f"FAIL {run.name}: {'; '.join(problems)}"
     drives = ", ".join(f"{one.robot} {one.digest[:12]} ({one.cycles} cycles)" for one in run.judgements)
-    other = run.judgements[0].mathematics != expected[0].mathematics
-    return f"PASS {run.name}: {drives}{'; its libraries compute other bits than those here' if other else ''}"
+    cycles = sum(int(str(told["cycles"])) for told in run.corpus.values())
+    corpus = f"corpus of {len(run.corpus)} identical ({cycles} cycles)"
+    other = run.judgements[0].mathematics != expected.judgements[0].mathematics
+    return f"PASS {run.name}: {drives}; {corpus}{'; its libraries compute other bits than those here' if other else ''}"
 
 
 if __name__ == "__main__":

@@ -27,8 +27,8 @@ COMPILER_TOOLS = {
     "/usr/aarch64-linux-gnu/include/stdio.h": "libc6-dev-arm64-cross",
 }
 TOOLS = {"qemu-aarch64-static": "qemu-user-static", "apt-get": "apt", "dpkg-deb": "dpkg"}
-DEBIAN = ("python3-minimal", "libpython3-stdlib")
-WHEELS = ("pydantic",)
+DEBIAN = ("python3-minimal", "libpython3-stdlib", "libstdc++6")
+WHEELS = ("msgspec", "numpy", "pyarrow", "pydantic")
 PLATFORMS = ("manylinux_2_28_aarch64", "manylinux_2_17_aarch64", "manylinux2014_aarch64")
 LIBRARIES = "usr/lib/aarch64-linux-gnu:lib/aarch64-linux-gnu"
 LIMIT_S = 600.0

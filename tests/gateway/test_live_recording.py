@@ -9,9 +9,9 @@ import pytest
 from gateway.config import parse
 from gateway.core.samples import Sampler
 from gateway.edges.live_view import Batch, decode_batch, encode_batch
+from gateway.recording.failures import RecordingOffError
 from gateway.recording.live import LiveRecording
 from gateway.recording.packets import Record
-from gateway.recording.segment import RecordingOffError
 from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Event, Level, Mode, RequestKind, Sample, Twist
 from tests.drawn import STATIC, Drawn, drawn

@@ -60,7 +60,7 @@ def run(*words: object) -> Result:
 
 def test_sessions_are_found_in_folders_once(fleet: Path) -> None:
     found = sessions([*named(fleet), fleet / "robots" / "a"])
-    assert [path.relative_to(fleet).parts[:2] for path in found] == [
+    assert [Path(path).relative_to(fleet).parts[:2] for path in found] == [
         *(("robots", letter) for letter in "abcde"),
         ("empty",),
         ("not there",),

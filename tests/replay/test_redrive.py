@@ -9,8 +9,9 @@ from gateway.config import load, parse
 from gateway.types import ZERO_TWIST, Mode, Twist
 from replay.compare.likeness import Comparison, Moment, compare, moments
 from replay.drive.closed_loop import ClosedLoop
+from replay.drive.recorded_drive import RedriveError, plant_told
 from replay.drive.recording import SessionRecording
-from replay.drive.redrive import RedriveError, as_toml, plant_told, redrive
+from replay.drive.redrive import as_toml, redrive
 from replay.sessions.reader import Session, open_session
 from replay.sim.plants.contract import PlantName
 from tests.recordings import write_drive
@@ -97,4 +98,4 @@ def test_a_simulated_robot_is_never_put_on_a_bus_of_motors(tmp_path: Path) -> No
     session = drive(tmp_path, 0.1, seconds=0.1)
     for channel, words in (("can0", "may lead to motors"), ("vcan77", "no CAN interface vcan77")):
         with pytest.raises(RedriveError, match=words):
-            redrive(session, channel=channel, out=tmp_path, tick_ms=1)
+            redrive(session, channels=[channel], out=tmp_path, tick_ms=1)

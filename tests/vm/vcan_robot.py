@@ -1,5 +1,6 @@
 """Service, simulated robot and client as three processes on a real kernel bus, and a listener beside them."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -23,9 +24,11 @@ WAIT_S = 20.0
 STREAM_HZ = 50.0
 RATE_HZ = 100.0  # what the virtual machine holds at ease; 250 Hz only on an idle host
 TICK_MS = 5
+SENSOR_HZ = 50.0
 ZERO, GO = (0.0, 0.0, 0.0), (0.3, 0.0, 0.0)
 REST_S, STILL_M = 0.3, 0.001  # a robot that moved less than this in that time has come to rest
 
+_SENSOR = re.compile(r"timeout = 0\.0[35](\nbus = .+\n(?:.+\n)+?)rate = [0-9.]+")  # one on a bus
 Condition = Callable[[StateMessage], bool]
 
 
@@ -47,8 +50,15 @@ def fresh_vcan0() -> None:
 
 
 def robot_file(name: str, directory: Path, channel: str) -> Path:
-    """The bundled robot at a pace for the virtual machine, which stalls: silence of anybody counts later."""
-    text = (ROBOTS / f"{name}.toml").read_text(encoding="utf-8")
+    """The bundled robot at a pace for the virtual machine, on this channel."""
+    text = paced((ROBOTS / f"{name}.toml").read_text(encoding="utf-8"))
+    path = directory / f"{name}-{channel}.toml"
+    path.write_text(text.replace('channel = "can0"', f'channel = "{channel}"'), encoding="utf-8")
+    return path
+
+
+def paced(text: str) -> str:
+    """A robot file at a pace for the virtual machine, which stalls: silence of anybody counts later."""
     for before, after in (
         ("feedback_rate = 1000.0", "feedback_rate = 30.0"),
         ("speed_loop = { kp = 3.5, ki = 14.0 }", "speed_loop = { kp = 0.3, ki = 0.6 }"),
@@ -57,12 +67,9 @@ def robot_file(name: str, directory: Path, channel: str) -> Path:
         ("priority = 10, timeout = 0.2", "priority = 10, timeout = 1.0"),
         ("[loop]\nrate = 250.0", f"[loop]\nrate = {RATE_HZ}"),
         ("watchdog = { timeout = 0.1", "watchdog = { timeout = 0.5"),
-        ('channel = "can0"', f'channel = "{channel}"'),
     ):
         text = text.replace(before, after)
-    path = directory / f"{name}-{channel}.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return _SENSOR.sub(rf"timeout = 0.5\1rate = {SENSOR_HZ}", text)
 
 
 def drivegate(*arguments: str, log: Path, stderr: int | None = None) -> subprocess.Popen[bytes]:
