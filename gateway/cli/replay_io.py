@@ -115,8 +115,8 @@ def export(
 ) -> None:
     """Write the frames of a session as a log for other tools, or its channels as a table.
 
-    By suffix: .log as `candump -L -x` writes it (times to the us), .asc and .blf (ns since a date in UTC; a bus is a
-    number, in the order of the robot file), .mcap with can_msgs/msg/Frame for ROS 2 (ns; a topic for each bus and
+    By suffix: .log as `candump -L -x` writes it (times to the us), .asc, .blf and .mf4 (ns since a date in UTC; a bus
+    is a number, in the order of the robot file; MF4 needs drivegate[mf4]), .mcap with can_msgs/msg/Frame for ROS 2 (ns; a topic for each bus and
     direction), .parquet with a row per cycle (ns; the columns of `drivegate replay trace`). A received frame has the
     time at which it came, a sent one that of its cycle. Exit 0; 2: nothing was written; 3: all there is was written,
     of a recording that is incomplete.
@@ -152,8 +152,8 @@ def import_(  # noqa: PLR0917  # a command line: each parameter is an option wit
 ) -> None:
     """Make a session of a log of CAN frames, by the drivers of a robot.
 
-    Read are candump in each of its styles, ASC, BLF, TRC, SavvyCAN's CSV, and MCAP with can_msgs/msg/Frame, also
-    gzipped; which of them it is tells the file and not its name. Without --map it is told which channels there are.
+    Read are candump in each of its styles, ASC, BLF, MF4 (with drivegate[mf4]), TRC, SavvyCAN's CSV, and MCAP with
+    can_msgs/msg/Frame, also gzipped; which of them it is tells the file and not its name. Without --map it is told which channels there are.
     Cycles are those of the robot file. A frame that a driver takes as the word of a controller was received, as one
     that nobody knows; one that is a command was sent. What led to the commands no log tells: `replay can`, `trace`,
     `info`, `export` and `play` work on such a session, and `verify` and `run` say that they cannot.

@@ -10,7 +10,7 @@ from drivers.contract import CanFrame
 from gateway.config import parse
 from gateway.types import Inputs
 from replay.compare.retrace import columns, rows
-from replay.logs import asc, blf, candump
+from replay.logs import asc, blf, candump, mf4
 from replay.logs.logged import LogError, Logged, LogWriter
 from replay.sessions.reader import Session
 
@@ -23,6 +23,7 @@ class Format(Enum):
     CANDUMP = "candump"
     ASC = "asc"
     BLF = "blf"
+    MF4 = "mf4"
     MCAP = "mcap"
     PARQUET = "parquet"
 
@@ -31,6 +32,7 @@ SUFFIXES = {
     ".log": Format.CANDUMP,
     ".asc": Format.ASC,
     ".blf": Format.BLF,
+    ".mf4": Format.MF4,
     ".mcap": Format.MCAP,
     ".parquet": Format.PARQUET,
 }
@@ -114,12 +116,22 @@ def _mcap(file: IO[bytes], _: Mapping[str, int]) -> LogWriter:
     return mcap_frames.Writer(file)
 
 
-_NUMBERED = {Format.ASC, Format.BLF}  # these have numbers for channels, from 1
+def _mf4(file: IO[bytes], channels: Mapping[str, int]) -> LogWriter:
+    """Raises LogError."""
+    if not mf4.is_installed():
+        raise LogError(mf4.EXTRA)
+    from replay.logs import mf4_files  # noqa: PLC0415  # an extra, and a second to import
+
+    return mf4_files.Writer(file, channels)
+
+
+_NUMBERED = {Format.ASC, Format.BLF, Format.MF4}  # these have numbers for channels, from 1
 _TEXTS = {Format.CANDUMP, Format.ASC}
 _WRITERS: Mapping[Format, Callable[..., LogWriter]] = {
     Format.CANDUMP: lambda file, _: candump.Writer(file),
     Format.ASC: asc.Writer,
     Format.BLF: blf.Writer,
+    Format.MF4: _mf4,
     Format.MCAP: _mcap,
 }
 

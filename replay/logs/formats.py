@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TextIO
 
-from replay.logs import asc, blf, candump, savvycan, trc
+from replay.logs import asc, blf, candump, mf4, savvycan, trc
 from replay.logs.logged import Account, LogError, Logged
 
 LOOKED_AT = 1 << 16  # bytes of the beginning
@@ -16,7 +16,7 @@ MCAP = b"\x89MCAP0\r\n"
 _GZIP = b"\x1f\x8b"
 _FOREIGN = {  # what a log that is not read begins with
     b"RRF2": "a session, or a part of one: it needs no import",
-    b"MDF     ": "MDF 4 (MF4), which is not read: convert it to BLF, with asammdf for example",
+    mf4.MAGIC: "MDF of before version 4, which has no frames of buses",
     b"SQLite format 3": "a bag of ROS 2 in SQLite, which is not read: convert it to MCAP, with `ros2 bag convert`",
     b"PK\x03\x04": "an archive: unpack it",
     b"***BUSMASTER": "a log of BusMaster, which is not read: convert it to ASC, with BusMaster itself",
@@ -27,7 +27,7 @@ _FOREIGN_TEXTS = {
     "Microchip Technology": "a log of Microchip's analyzer, which is not read: convert it, with SavvyCAN for example",
     " CXX ": "a log of CRTD, which is not read: convert it, with SavvyCAN for example",
 }
-KNOWN = "candump in each of its styles, ASC, BLF, TRC, SavvyCAN's CSV, or MCAP with can_msgs/msg/Frame"
+KNOWN = "candump in each of its styles, ASC, BLF, MF4, TRC, SavvyCAN's CSV, or MCAP with can_msgs/msg/Frame"
 _Frames = Iterator[Logged]
 
 
@@ -80,6 +80,8 @@ def _frames(path: Path, file: BinaryIO, stack: ExitStack, account: Account) -> _
         from replay.logs import mcap_frames  # noqa: PLC0415  # two packages that nothing else needs
 
         return mcap_frames.frames(file, account)
+    if begin.startswith((mf4.MAGIC + mf4.VERSION, mf4.UNFINISHED + mf4.VERSION)):
+        return mf4.frames(path, stack.enter_context(mf4.opened(file, begin, account)), account)
     for mark, words in _FOREIGN.items():
         if begin.startswith(mark):
             raise LogError(f"{path}: {words}")

@@ -75,6 +75,7 @@ def _measured(world: World, folder: Path) -> dict[str, float]:
     frames = [(record.inputs.now_ns, frame) for record in records for frame in _frames(record)]
     logs: dict[str, tuple[Path, Callable[[Path], Iterable[object]]]] = {
         "blf": (_logged(frames, folder / "drive.blf"), can.BLFReader),
+        "mf4": (_logged(frames, folder / "drive.mf4"), can.MF4Reader),
         "candump": (_logged(frames, folder / "drive.log"), can.CanutilsLogReader),
         "mcap_lz4": (_mcap(frames, folder / "lz4.mcap", CompressionType.LZ4), _mcap_messages),
         "mcap_zstd": (_mcap(frames, folder / "zstd.mcap", CompressionType.ZSTD), _mcap_messages),
@@ -113,7 +114,7 @@ def _logged(frames: Sequence[tuple[int, CanFrame]], path: Path) -> Path:
                     data=None if frame.remote else frame.data,
                     is_extended_id=frame.extended,
                     is_remote_frame=frame.remote,
-                    channel=0 if path.suffix == ".blf" else frame.bus,
+                    channel=frame.bus if path.suffix == ".log" else 0,
                     is_rx=frame.received_ns is not None,
                     is_fd=frame.fd,
                     bitrate_switch=frame.bit_rate_switch,
