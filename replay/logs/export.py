@@ -1,7 +1,7 @@
 """A session as a log of its frames for other tools, or as a table of what the core made of it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from enum import Enum
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -69,13 +69,16 @@ def logged(session: Session) -> Iterator[Logged]:
 
 
 def export(session: Session, path: Path, to: Format) -> Exported:
-    """Write all of it, or leave the file as it was. Raises LogError, ConfigError, OSError."""
+    """Write all of it, or leave the file as it was. Raises LogError, ConfigError, SessionError."""
     part = path.with_name(f".{path.name}.part")
     try:
         written = _written(session, part, to)
         part.replace(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # there is no such folder, or it cannot be written
+            part.unlink(missing_ok=True)
     return written
 
 

@@ -195,6 +195,13 @@ def test_a_file_is_whole_or_as_it_was(session: Session, tmp_path: Path, monkeypa
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_cannot_be_written_is_named(session: Session, tmp_path: Path) -> None:
+    path = tmp_path / "nothing" / "drive.log"
+    result = asked(session.path, path, "--json")
+    problem = f"{path}: cannot be written: No such file or directory"
+    assert (result.exit_code, json.loads(result.stdout)["problem"]) == (2, problem)
+
+
 def test_without_the_package_for_mf4_it_is_said_what_to_install(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
