@@ -28,6 +28,14 @@ _SUM = re.compile(r"([0-9a-f]{64})  (segment-\d{5,}\.rrd)")
 _DIGITS = 18  # of the longest number that is believed
 
 
+class WriterDeadError(RuntimeError):
+    """Rerun's writing thread has ended (disk full, read-only, broken).
+
+    Such a stream may block for ever in any further call (measured with 0.41), so whoever catches this leaves the
+    process without touching it again.
+    """
+
+
 class Disposable(NamedTuple):
     """What may be deleted to make room: an older session whole, or one closed segment of the running one."""
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from gateway.config import RobotConfig
+from gateway.recording.disk import WriterDeadError
 from gateway.recording.packets import (
     PACKET_LIMIT,
     End,
@@ -32,7 +33,7 @@ from gateway.recording.packets import (
     decode_packet,
     encode,
 )
-from gateway.recording.segment import RecordingOffError, WriterDeadError
+from gateway.recording.segment import RecordingOffError
 from gateway.recording.writer import SessionWriter
 
 logger = logging.getLogger(__name__)

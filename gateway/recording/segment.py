@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from gateway.recording.block import packed
 from gateway.recording.chain import beginning, link
 from gateway.recording.columns import Times, arrays
-from gateway.recording.disk import FILE_MODE
+from gateway.recording.disk import FILE_MODE, WriterDeadError
 from gateway.recording.packets import Gap, Record, Snapshot
 from gateway.recording.schema import (
     APPLICATION_ID,
@@ -55,14 +55,6 @@ DRAW_NS = 900_000_000  # of cycles are drawn at once, at least: each entity cost
 FOOTER_BYTES = 135_000  # and this many for each batch; measured with Rerun 0.41 and the views of today
 FOOTER_BYTES_PER_BATCH = 1000
 _PIECE = 1 << 20  # read at a time
-
-
-class WriterDeadError(RuntimeError):
-    """Rerun's writing thread has ended (disk full, read-only, broken).
-
-    Such a stream may block for ever in any further call (measured with 0.41), so whoever catches this leaves the
-    process without touching it again.
-    """
 
 
 class RecordingOffError(RuntimeError):

@@ -48,20 +48,27 @@ _TEXTS = (
 def opened(path: Path) -> Iterator[tuple[_Frames, Account]]:
     """The frames of a log, to be read once, and an account of the rest, filled meanwhile. Raises LogError."""
     account = Account()
-    try:
-        with ExitStack() as stack:
+    with ExitStack() as stack:
+        try:
             file = stack.enter_context(_unpacked(stack.enter_context(path.open("rb"))))
-            yield _guarded(_frames(path, file, stack, account), account), account
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
+            frames = _frames(path, file, stack, account)
+        except OSError as error:
+            raise _unreadable(path, error) from None
+        yield _guarded(path, frames, account), account
 
 
-def _guarded(frames: _Frames, account: Account) -> _Frames:
-    """What is packed may end or break anywhere; what was in front of it is read."""
+def _guarded(path: Path, frames: _Frames, account: Account) -> _Frames:
+    """What is packed may end or break anywhere; what was in front of it is read. Raises LogError."""
     try:
         yield from frames
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         account.leave_out("what follows does not unpack", f"line {account.lines + 1}", str(error))
+    except OSError as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: OSError) -> LogError:
+    return LogError(f"{path}: cannot be read: {error.strerror or error}")
 
 
 def _unpacked(raw: BinaryIO) -> BinaryIO:

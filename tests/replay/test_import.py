@@ -1,6 +1,7 @@
 """A log becomes a session: its frames, as they were and when they were, and what the core would have heard in them."""
 
 import json
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,13 +11,13 @@ from typer.testing import CliRunner, Result
 
 from gateway.cli.app import build
 from gateway.config import parse
-from gateway.core.engine import Engine
 from gateway.types import Twist
 from replay.compare.retrace import frames as frames_in_words
 from replay.compare.retrace import rows
 from replay.compare.verify import EXIT_NOT_REPLAYABLE, verify
 from replay.drive.closed_loop import FIRST_NS
 from replay.drive.player import Direction, play, recorded
+from replay.logs import formats
 from replay.logs.export import Format, export, logged
 from replay.logs.intake import PAUSE_NS, Imported, import_log
 from replay.logs.logged import LogError, Logged
@@ -185,20 +186,35 @@ def test_times_that_go_backwards_are_kept(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.pure_python
 def test_a_log_that_cannot_be_read_to_its_end_leaves_no_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(frames: Iterator[Logged]) -> Iterator[Logged]:
+        yield next(frames)
+        raise OSError(5, "Input/output error")
+
+    path = tmp_path / "drive.log"
+    path.write_text(LOG)
+    sound = formats._frames
+    monkeypatch.setattr(formats, "_frames", lambda *arguments: broken(sound(*arguments)))
+    with pytest.raises(LogError, match=r"drive\.log: cannot be read: Input/output error"):
+        imported(path, "moby", tmp_path / "s", {"can0": "can0"})
+    assert not list((tmp_path / "s").iterdir())
+
+
+def test_a_session_that_cannot_be_written_is_not_the_fault_of_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "drive.log"
     path.write_text(LOG)
-    monkeypatch.setattr(Engine, "step", broken)
-    with pytest.raises(LogError, match="Input/output error"):
-        imported(path, "moby", tmp_path / "s", {"can0": "can0"})
-    assert not list((tmp_path / "s").glob("*/*.rrd"))
-
-
-def broken(*_: object) -> None:
-    raise OSError(5, "Input/output error")
+    (tmp_path / "file").touch()
+    told = asked(path, "moby", "--map", "can0=can0", "--out", tmp_path / "file", "--json")
+    assert (told.exit_code, json.loads(told.stdout)["problem"]) == (2, f"{tmp_path / 'file'}: File exists")
+    monkeypatch.setattr("replay.drive.recording.free_bytes", lambda _: 1000)
+    told = asked(path, "moby", "--map", "can0=can0", "--out", tmp_path / "s", "--json")
+    assert told.exit_code == 2
+    assert "disk full: 1000 bytes free" in json.loads(told.stdout)["problem"]
+    assert not list((tmp_path / "s").iterdir())
 
 
 def test_a_log_without_times_needs_an_interval(tmp_path: Path) -> None:
