@@ -98,6 +98,7 @@ IMPURE_FILES = {
     *("replay/compare/fleet.py", "replay/compare/side_by_side.py", "replay/compare/verify.py"),
     *("replay/drive/player.py", "replay/drive/redrive.py"),
     "replay/history/revisions.py",
+    *("replay/logs/mf4.py", "replay/logs/mf4_files.py"),
     *("replay/sim/network_device.py", "replay/sim/server.py"),
 }
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
@@ -110,6 +111,8 @@ PYDANTIC_FILES = {
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib
 PAGE_FILE = "replay/report/page.py"  # the only one that knows Jinja
+MF4_FILE = "replay/logs/mf4_files.py"  # the only one that knows asammdf, which is an extra
+MF4_USERS = {"replay/logs/export.py"}  # within a function: it cannot be imported without that extra
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 
@@ -191,8 +194,20 @@ def test_core_is_pure(path: Path) -> None:
     if name(path) != DRAWING_FILE:
         assert "matplotlib" not in tops
     assert "jinja2" not in tops or name(path) == PAGE_FILE
+    if name(path) != MF4_FILE:
+        assert "asammdf" not in tops
     if "pydantic" in tops:
         assert name(path) in PYDANTIC_FILES or room(path) in PYDANTIC_ROOMS
+
+
+def test_what_an_extra_is_for_is_imported_where_it_is_used() -> None:
+    importing = {name(path) for path in sources() if "replay.logs.mf4_files" in imports(path)}
+    assert importing == MF4_USERS
+    for user in MF4_USERS:
+        tree = ast.parse((ROOT / user).read_text(encoding="utf-8"))
+        assert not any(
+            "mf4_files" in ast.unparse(node) for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)
+        )
 
 
 @pytest.mark.parametrize("path", [path for path in sources() if room(path) in PURE], ids=name)

@@ -1,7 +1,7 @@
 """`drivegate replay`: what to do with a recorded session."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from math import inf
@@ -237,14 +237,24 @@ def trace(
 ) -> None:
     """Print setpoints, measured motion, pose and motors of every cycle as CSV, computed again from the recorded inputs.
 
-    SI, at the output; empty where something is unknown or released. Exit 0, 2 if there is nothing, 3 if the recording
-    is incomplete: behind what is missing it goes on from the next snapshot of the core.
+    SI, at the output; empty where something is unknown or released. Exit 0, 2 if there is nothing in that time, 3 if
+    the recording is incomplete: behind what is missing it goes on from the next snapshot of the core.
     """
     with _told(session) as opened:
         typer.echo(",".join(columns(opened)))
-        for row in rows(opened):
-            if begin <= float(row[1] or 0.0) <= end:
-                typer.echo(",".join("" if cell is None else str(cell) for cell in row))
+        wanted = (row for row in rows(opened) if begin <= float(row[1] or 0.0) <= end)
+        lines = (",".join("" if cell is None else str(cell) for cell in row) for row in wanted)
+        _print(lines, f"{session}: no cycle from {begin:g} s to {end:g} s")
+
+
+def _print(lines: Iterable[str], nothing: str) -> None:
+    """Raises SessionError where there are none."""
+    printed = False
+    for line in lines:
+        typer.echo(line)
+        printed = True
+    if not printed:
+        raise SessionError(nothing)
 
 
 @replay.command()
@@ -255,12 +265,12 @@ def can(
 ) -> None:
     """Print every recorded CAN frame in words: time, rx or tx, motor, message and fields, and the frame itself.
 
-    Exit 0, 2 if there is nothing, 3 if the recording is incomplete.
+    Exit 0, 2 if there is nothing in that time, 3 if the recording is incomplete.
     """
     with _told(session) as opened:
-        for told in frames(opened):
-            if begin <= told.t <= end:
-                typer.echo(f"{told.t:.6f} {'tx' if told.sent else 'rx'} {told.words}")
+        wanted = (told for told in frames(opened) if begin <= told.t <= end)
+        lines = (f"{told.t:.6f} {'tx' if told.sent else 'rx'} {told.words}" for told in wanted)
+        _print(lines, f"{session}: no frame from {begin:g} s to {end:g} s")
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`drivegate replay info`, `export`, `import`, `cut`, `merge`, `diff`: sessions as files."""
 
+import os
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
@@ -12,6 +13,7 @@ from gateway import robot_files
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_verify import show
 from gateway.config import ConfigError, load
+from gateway.recording.failures import WriterDeadError
 from gateway.recording.recorder import RecorderError
 from replay.compare.difference import Difference, difference
 from replay.compare.verify import EXIT_INCOMPLETE, EXIT_NOT_REPLAYABLE, verify
@@ -134,11 +136,11 @@ def export(
 ) -> None:
     """Write the frames of a session as a log for other tools, or its channels as a table.
 
-    By suffix: .log as `candump -L -x` writes it (times to the us), .asc and .blf (ns since a date in UTC; a bus is a
-    number, in the order of the robot file), .mcap with can_msgs/msg/Frame for ROS 2 (ns; a topic for each bus and
-    direction), .parquet with a row per cycle (ns; the columns of `drivegate replay trace`). A received frame has the
-    time at which it came, a sent one that of its cycle. Exit 0; 2: nothing was written; 3: all there is was written,
-    of a recording that is incomplete.
+    By suffix: .log as `candump -L -x` writes it (times to the us), .asc, .blf and .mf4 (ns since a date in UTC; a bus
+    is a number, in the order of the robot file; MF4 needs drivegate[mf4]), .mcap with can_msgs/msg/Frame for ROS 2 (ns;
+    a topic for each bus and direction), .parquet with a row per cycle (ns; the columns of `drivegate replay trace`). A
+    received frame has the time at which it came, a sent one that of its cycle. Exit 0; 2: nothing was written; 3: all
+    there is was written, of a recording that is incomplete.
     """
     try:
         with local(place(session)) as path:
@@ -172,11 +174,12 @@ def import_(  # noqa: PLR0917  # a command line: each parameter is an option wit
 ) -> None:
     """Make a session of a log of CAN frames, by the drivers of a robot.
 
-    Read are candump in each of its styles, ASC, BLF, TRC, SavvyCAN's CSV, and MCAP with can_msgs/msg/Frame, also
-    gzipped; which of them it is tells the file and not its name. Without --map it is told which channels there are.
-    Cycles are those of the robot file. A frame that a driver takes as the word of a controller was received, as one
-    that nobody knows; one that is a command was sent. What led to the commands no log tells: `replay can`, `trace`,
-    `info`, `export` and `play` work on such a session, and `verify` and `run` say that they cannot.
+    Read are candump in each of its styles, ASC, BLF, MF4 (with drivegate[mf4]), TRC, SavvyCAN's CSV, and MCAP with
+    can_msgs/msg/Frame, also gzipped; which of them it is tells the file and not its name. Without --map it is told
+    which channels there are. Cycles are those of the robot file. A frame that a driver takes as the word of a
+    controller was received, as one that nobody knows; one that is a command was sent. What led to the commands no log
+    tells: `replay can`, `trace`, `info`, `export` and `play` work on such a session, and `verify` and `run` say that
+    they cannot.
     Exit 0; 2: nothing was imported; 3: imported, but something in the log became no frame, and it is said what.
     """
     from replay.logs.intake import import_log  # noqa: PLC0415  # with Rerun, which no other command here needs
@@ -192,7 +195,7 @@ def import_(  # noqa: PLR0917  # a command line: each parameter is an option wit
             buses=_buses(maps or []),
             interval_ns=None if interval is None else round(interval * 1e9),
         )
-    except (ConfigError, LogError, RecorderError, OSError) as error:
+    except (ConfigError, LogError, RecorderError, WriterDeadError, OSError) as error:
         _refuse(error, json=json)
     account = found.account
     if json:
@@ -248,7 +251,7 @@ def cut(
 
     try:
         piece = pieces.cut(open_session(session), out, begin=begin, end=end)
-    except (SessionError, ConfigError, OSError) as error:
+    except (SessionError, ConfigError, RecorderError, WriterDeadError, OSError) as error:
         _refuse(error, json=json)
     _tell_piece(piece, json=json)
 
@@ -266,7 +269,7 @@ def merge(
 
     try:
         piece = pieces.merge([open_session(session) for session in sessions], out)
-    except (SessionError, ConfigError, OSError) as error:
+    except (SessionError, ConfigError, RecorderError, WriterDeadError, OSError) as error:
         _refuse(error, json=json)
     _tell_piece(piece, json=json)
 
@@ -327,9 +330,14 @@ def _show_difference(found: Difference) -> None:
 
 
 def _refuse(error: Exception, *, json: bool) -> NoReturn:
+    words = str(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        words = f"{error.filename}: {error.strerror}"
     if json:
-        print_json({"problem": str(error)})
-    complain(str(error))
+        print_json({"problem": words})
+    complain(words)
+    if isinstance(error, WriterDeadError):
+        os._exit(EXIT_NOT_REPLAYABLE)  # what is left of the writer would block every other way out
     raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
 
 

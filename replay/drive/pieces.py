@@ -8,7 +8,6 @@ between its ends is missing, and verifies on its own. Inputs, outputs, times and
 the pictures are drawn again, by the same core, so that cycles to which no snapshot leads cannot be in a piece.
 """
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
@@ -18,11 +17,13 @@ from typing import NamedTuple
 import msgspec
 
 from gateway.config import RobotConfig, parse
-from gateway.recording.packets import Hello, Record, Snapshot
-from gateway.recording.schema import SCHEMA_VERSION
+from gateway.recording.packets import Hello, Record, RecorderReport, Snapshot
+from gateway.recording.recorder import RecorderError
+from gateway.recording.schema import SCHEMA_VERSION, Header
 from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Outputs
 from replay.compare.replay import CRASHES, Replay
+from replay.drive.recording import check_room, discard
 from replay.sessions.cycles import Cycle
 from replay.sessions.reader import Session, SessionError
 
@@ -50,7 +51,7 @@ class _Span(NamedTuple):
 def cut(session: Session, directory: Path, *, begin: float = 0.0, end: float = inf) -> Piece:
     """Make a session of what is between two times, s since the first recorded cycle, and of what leads to it.
 
-    Raises SessionError, ConfigError, OSError.
+    Raises SessionError, ConfigError, RecorderError, WriterDeadError, OSError.
     """
     span, origin_ns = _span(session, begin, end)
     folder = _write([session], span, directory)
@@ -59,10 +60,11 @@ def cut(session: Session, directory: Path, *, begin: float = 0.0, end: float = i
 
 
 def merge(sessions: Sequence[Session], directory: Path) -> Piece:
-    """Put pieces of one session together, in the order of their cycles. Raises SessionError, ConfigError, OSError."""
-    wholes = {session.header.cut_from or session.header.session for session in sessions}
-    if len(wholes) > 1:
-        raise SessionError(f"these are not pieces of one session, but of {', '.join(sorted(wholes))}")
+    """Put pieces of one session together, in the order of their cycles.
+
+    Raises SessionError, ConfigError, RecorderError, WriterDeadError, OSError.
+    """
+    _check_same([session.header for session in sessions])
     spans = sorted(zip((_whole_span(session) for session in sessions), range(len(sessions)), strict=True))
     for (one, place), (other, next_place) in pairwise(spans):
         if other.first_cycle > one.last_cycle + 1:
@@ -72,6 +74,23 @@ def merge(sessions: Sequence[Session], directory: Path) -> Piece:
     span = _Span(first.first_cycle, last.last_cycle, first.first_ns, last.last_ns)
     folder = _write([sessions[place] for _, place in spans], span, directory)
     return Piece(folder, span.first_cycle, span.last_cycle, 0.0, round((span.last_ns - span.first_ns) * 1e-9, 6))
+
+
+def _check_same(headers: Sequence[Header]) -> None:
+    """Two robots of one name that start in the same second have sessions of one name. Raises SessionError."""
+    wholes = {header.cut_from or header.session for header in headers}
+    if len(wholes) > 1:
+        raise SessionError(f"these are not pieces of one session, but of {', '.join(sorted(wholes))}")
+    for what, tell in _THE_SAME.items():
+        if len({tell(header) for header in headers}) > 1:
+            raise SessionError(f"these are pieces of two sessions called {wholes.pop()}: they differ in the {what}")
+
+
+_THE_SAME: Mapping[str, Callable[[Header], object]] = {  # in every piece of one session
+    "host": lambda header: header.host,
+    "start of the clock": lambda header: header.wall_minus_mono_ns,
+    "robot file": lambda header: header.config_text,
+}
 
 
 def _whole_span(session: Session) -> _Span:
@@ -87,6 +106,8 @@ def _span(session: Session, begin: float, end: float) -> tuple[_Span, int]:
         times.update(zip(sketch.cycle.tolist(), sketch.now_ns.tolist(), strict=True))
     low, high = begin * 1e9 - 0.5, end * 1e9 + 0.5  # a time may have been rounded when it was shown
     wanted = [cycle for cycle, ns in times.items() if low <= ns - (origin_ns or 0) <= high]
+    if end < begin:
+        raise SessionError(f"from {begin:g} s to {end:g} s: the end is in front of the beginning")
     if not wanted or origin_ns is None:
         raise SessionError(f"{session.path}: no cycle was recorded from {begin:g} s to {end:g} s")
     first = _known(session, times, wanted[0])
@@ -110,7 +131,7 @@ def _known(session: Session, times: Mapping[int, int], wanted: int) -> int:
 
 
 def _write(sessions: Sequence[Session], span: _Span, directory: Path) -> Path:
-    """Raises SessionError, ConfigError, OSError."""
+    """Raises SessionError, ConfigError, RecorderError, WriterDeadError, OSError."""
     whole = sessions[0]
     header = whole.header
     if header.schema_version != SCHEMA_VERSION:
@@ -130,16 +151,20 @@ def _write(sessions: Sequence[Session], span: _Span, directory: Path) -> Path:
     writer = SessionWriter(config.model_copy(update={"recording": limits}), hello, told=told)
     try:
         for batch, snapshot in _batches(sessions, span, config):
+            check_room(writer.folder)
             writer.write(batch, (), snapshot)
-    except BaseException:
-        writer.close(ended=False)
-        shutil.rmtree(writer.folder)
+        writer.close()
+        _check_whole(writer.report())
+    except BaseException as why:
+        discard(writer, why)
         raise
-    writer.close()
-    report = writer.report()
-    if report.lost:
-        raise SessionError(f"{report.folder}: {report.lost} cycles could not be written: {report.error}")
     return writer.folder
+
+
+def _check_whole(report: RecorderReport) -> None:
+    """Raises RecorderError."""
+    if report.lost:
+        raise RecorderError(f"{report.folder}: {report.lost} cycles could not be written: {report.error}")
 
 
 def _batches(

@@ -1,10 +1,13 @@
 """Records a drive in virtual time with the recorder's own writer and the stamps of the virtual clock."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 from gateway.config import RobotConfig
 from gateway.core.snapshot import State
+from gateway.recording.disk import free_bytes
+from gateway.recording.failures import WriterDeadError
 from gateway.recording.packets import SNAPSHOT_PERIOD_NS, Hello, Record, Snapshot
 from gateway.recording.recorder import RecorderError
 from gateway.recording.writer import SessionWriter
@@ -13,6 +16,21 @@ from replay.drive.closed_loop import FIRST_NS
 from replay.sim.plants.contract import PlantName
 
 BATCH = 250  # cycles
+ROOM = 16_000_000  # bytes: more than a batch takes, and what closes a segment
+
+
+def check_room(folder: Path) -> None:
+    """Whether there is room for what follows: a full disk ends a session's writer for good. Raises RecorderError."""
+    free = free_bytes(folder)
+    if free < ROOM:
+        raise RecorderError(f"disk full: {free} bytes free at {folder}, {ROOM} are needed")
+
+
+def discard(writer: SessionWriter, why: BaseException) -> None:
+    """Leave nothing of what was written. A writer that is dead is not touched again, as it asks for."""
+    if not isinstance(why, WriterDeadError) and not writer.report().closed:
+        writer.close(ended=False)
+    shutil.rmtree(writer.folder, ignore_errors=True)
 
 
 class SessionRecording:
@@ -52,7 +70,7 @@ class SessionRecording:
         return self._writer.folder
 
     def put(self, inputs: Inputs, outputs: Outputs, state: Callable[[], State]) -> None:
-        """One cycle; no time was spent on it. `state`: of the core behind it."""
+        """One cycle; no time was spent on it. `state`: of the core behind it. Raises RecorderError."""
         self._now_ns = inputs.now_ns
         timing = CycleTiming(late_ns=0, work_ns=0, wall_ns=inputs.now_ns + self._wall_minus_mono_ns)
         self._waiting.append(Record(inputs, outputs, timing))
@@ -76,6 +94,10 @@ class SessionRecording:
         if report.lost:
             raise RecorderError(f"{report.lost} cycles are not in {report.folder}: {report.error}")
 
+    def discard(self, why: BaseException) -> None:
+        """Instead of `close`: nothing of the session stays."""
+        discard(self._writer, why)
+
     def _begin(self) -> SessionWriter:
         hello = Hello(
             config_json=self._config.model_dump_json(),
@@ -91,5 +113,6 @@ class SessionRecording:
 
     def _write(self) -> None:
         if self._waiting:
+            check_room(self.session)
             self._writer.write(self._waiting, (), self._snapshot)
             self._waiting, self._snapshot = [], None

@@ -1,7 +1,7 @@
 """A session as a log of its frames for other tools, or as a table of what the core made of it."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from enum import Enum
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -10,7 +10,7 @@ from drivers.contract import CanFrame
 from gateway.config import parse
 from gateway.types import Inputs
 from replay.compare.retrace import columns, rows
-from replay.logs import asc, blf, candump
+from replay.logs import asc, blf, candump, mf4
 from replay.logs.logged import LogError, Logged, LogWriter
 from replay.sessions.reader import Session
 
@@ -23,6 +23,7 @@ class Format(Enum):
     CANDUMP = "candump"
     ASC = "asc"
     BLF = "blf"
+    MF4 = "mf4"
     MCAP = "mcap"
     PARQUET = "parquet"
 
@@ -31,6 +32,7 @@ SUFFIXES = {
     ".log": Format.CANDUMP,
     ".asc": Format.ASC,
     ".blf": Format.BLF,
+    ".mf4": Format.MF4,
     ".mcap": Format.MCAP,
     ".parquet": Format.PARQUET,
 }
@@ -67,13 +69,16 @@ def logged(session: Session) -> Iterator[Logged]:
 
 
 def export(session: Session, path: Path, to: Format) -> Exported:
-    """Write all of it, or leave the file as it was. Raises LogError, ConfigError, OSError."""
+    """Write all of it, or leave the file as it was. Raises LogError, ConfigError, SessionError."""
     part = path.with_name(f".{path.name}.part")
     try:
         written = _written(session, part, to)
         part.replace(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # there is no such folder, or it cannot be written
+            part.unlink(missing_ok=True)
     return written
 
 
@@ -114,12 +119,22 @@ def _mcap(file: IO[bytes], _: Mapping[str, int]) -> LogWriter:
     return mcap_frames.Writer(file)
 
 
-_NUMBERED = {Format.ASC, Format.BLF}  # these have numbers for channels, from 1
+def _mf4(file: IO[bytes], channels: Mapping[str, int]) -> LogWriter:
+    """Raises LogError."""
+    if not mf4.is_installed():
+        raise LogError(mf4.EXTRA)
+    from replay.logs import mf4_files  # noqa: PLC0415  # an extra, and a second to import
+
+    return mf4_files.Writer(file, channels)
+
+
+_NUMBERED = {Format.ASC, Format.BLF, Format.MF4}  # these have numbers for channels, from 1
 _TEXTS = {Format.CANDUMP, Format.ASC}
 _WRITERS: Mapping[Format, Callable[..., LogWriter]] = {
     Format.CANDUMP: lambda file, _: candump.Writer(file),
     Format.ASC: asc.Writer,
     Format.BLF: blf.Writer,
+    Format.MF4: _mf4,
     Format.MCAP: _mcap,
 }
 

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TextIO
 
-from replay.logs import asc, blf, candump, savvycan, trc
+from replay.logs import asc, blf, candump, mf4, savvycan, trc
 from replay.logs.logged import Account, LogError, Logged
 
 LOOKED_AT = 1 << 16  # bytes of the beginning
@@ -16,7 +16,7 @@ MCAP = b"\x89MCAP0\r\n"
 _GZIP = b"\x1f\x8b"
 _FOREIGN = {  # what a log that is not read begins with
     b"RRF2": "a session, or a part of one: it needs no import",
-    b"MDF     ": "MDF 4 (MF4), which is not read: convert it to BLF, with asammdf for example",
+    mf4.MAGIC: "MDF of before version 4, which has no frames of buses",
     b"SQLite format 3": "a bag of ROS 2 in SQLite, which is not read: convert it to MCAP, with `ros2 bag convert`",
     b"PK\x03\x04": "an archive: unpack it",
     b"***BUSMASTER": "a log of BusMaster, which is not read: convert it to ASC, with BusMaster itself",
@@ -27,7 +27,7 @@ _FOREIGN_TEXTS = {
     "Microchip Technology": "a log of Microchip's analyzer, which is not read: convert it, with SavvyCAN for example",
     " CXX ": "a log of CRTD, which is not read: convert it, with SavvyCAN for example",
 }
-KNOWN = "candump in each of its styles, ASC, BLF, TRC, SavvyCAN's CSV, or MCAP with can_msgs/msg/Frame"
+KNOWN = "candump in each of its styles, ASC, BLF, MF4, TRC, SavvyCAN's CSV, or MCAP with can_msgs/msg/Frame"
 _Frames = Iterator[Logged]
 
 
@@ -48,20 +48,27 @@ _TEXTS = (
 def opened(path: Path) -> Iterator[tuple[_Frames, Account]]:
     """The frames of a log, to be read once, and an account of the rest, filled meanwhile. Raises LogError."""
     account = Account()
-    try:
-        with ExitStack() as stack:
+    with ExitStack() as stack:
+        try:
             file = stack.enter_context(_unpacked(stack.enter_context(path.open("rb"))))
-            yield _guarded(_frames(path, file, stack, account), account), account
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
+            frames = _frames(path, file, stack, account)
+        except OSError as error:
+            raise _unreadable(path, error) from None
+        yield _guarded(path, frames, account), account
 
 
-def _guarded(frames: _Frames, account: Account) -> _Frames:
-    """What is packed may end or break anywhere; what was in front of it is read."""
+def _guarded(path: Path, frames: _Frames, account: Account) -> _Frames:
+    """What is packed may end or break anywhere; what was in front of it is read. Raises LogError."""
     try:
         yield from frames
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         account.leave_out("what follows does not unpack", f"line {account.lines + 1}", str(error))
+    except OSError as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: OSError) -> LogError:
+    return LogError(f"{path}: cannot be read: {error.strerror or error}")
 
 
 def _unpacked(raw: BinaryIO) -> BinaryIO:
@@ -80,6 +87,8 @@ def _frames(path: Path, file: BinaryIO, stack: ExitStack, account: Account) -> _
         from replay.logs import mcap_frames  # noqa: PLC0415  # two packages that nothing else needs
 
         return mcap_frames.frames(file, account)
+    if begin.startswith((mf4.MAGIC + mf4.VERSION, mf4.UNFINISHED + mf4.VERSION)):
+        return mf4.frames(path, stack.enter_context(mf4.opened(file, begin, account)), account)
     for mark, words in _FOREIGN.items():
         if begin.startswith(mark):
             raise LogError(f"{path}: {words}")

@@ -9,7 +9,6 @@ command, and stands where a session has the frames that were sent, with the time
 inputs; nobody knows those of then. A log that says nothing for longer than `PAUSE_NS` makes no cycles meanwhile.
 """
 
-import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -144,7 +143,7 @@ def import_log(  # a command line
 ) -> Imported:
     """Make a session of a log. `buses`: by the names of its channels. `interval_ns`: for one that tells no times.
 
-    Raises LogError, ConfigError, RecorderError, OSError.
+    Raises LogError, ConfigError, RecorderError, WriterDeadError, OSError.
     """
     _check(path, config, buses)
     with opened(path) as (frames, account):
@@ -167,11 +166,10 @@ def import_log(  # a command line
         )
         try:
             cycles, pauses = _record(recording, config, first, seen)
-        except BaseException:
             recording.close()
-            shutil.rmtree(recording.session)  # it would say that it is complete
+        except BaseException as why:
+            recording.discard(why)  # it would say that it is complete
             raise
-        recording.close()
         for channel, number in intake.unmapped.items():
             account.leave_out(f"frames of channel {channel}, which --map does not tell of: {number}", "all of it")
     began_ns = intake.first_ns if told else None

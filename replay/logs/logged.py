@@ -62,10 +62,10 @@ class Account:
         self.lines = 0  # or objects of a binary log
         self.left_out: dict[str, LeftOut] = {}
 
-    def leave_out(self, what: str, place: str, text: str = "") -> None:
+    def leave_out(self, what: str, place: str, text: str = "", *, times: int = 1) -> None:
         """Count something that is no frame, and keep the first of its kind to show."""
-        times, *first = self.left_out.get(what) or LeftOut(0, place, text.strip()[:TEXT_SHOWN])
-        self.left_out[what] = LeftOut(times + 1, *first)
+        before, *first = self.left_out.get(what) or LeftOut(0, place, text.strip()[:TEXT_SHOWN])
+        self.left_out[what] = LeftOut(before + times, *first)
 
 
 class LogWriter(Protocol):

@@ -76,7 +76,7 @@ def _generated(folder: Path, robot: str, seconds: float) -> tuple[Path, Path]:
                 continue
             part.write(records, (), snapshot)
             for kind, log in logs.items():
-                for message in messages(records, blf=kind == "blf"):
+                for message in messages(records, named=kind == "log"):
                     log.on_message_received(message)
     whole.close()
     part.close()

@@ -75,6 +75,7 @@ def _measured(world: World, folder: Path) -> dict[str, float]:
     frames = [(record.inputs.now_ns, frame) for record in records for frame in _frames(record)]
     logs: dict[str, tuple[Path, Callable[[Path], Iterable[object]]]] = {
         "blf": (_logged(records, folder / "drive.blf"), can.BLFReader),
+        "mf4": (_logged(records, folder / "drive.mf4"), can.MF4Reader),
         "candump": (_logged(records, folder / "drive.log"), can.CanutilsLogReader),
         "mcap_lz4": (_mcap(frames, folder / "lz4.mcap", CompressionType.LZ4), _mcap_messages),
         "mcap_zstd": (_mcap(frames, folder / "zstd.mcap", CompressionType.ZSTD), _mcap_messages),
@@ -105,13 +106,13 @@ def _frames(record: Record) -> Sequence[CanFrame]:
 
 def _logged(records: Sequence[Record], path: Path) -> Path:
     with can.Logger(str(path)) as log:
-        for message in messages(records, blf=path.suffix == ".blf"):
+        for message in messages(records, named=path.suffix == ".log"):
             log.on_message_received(message)
     return path
 
 
-def messages(records: Sequence[Record], *, blf: bool) -> Iterator[can.Message]:
-    """Their frames for a log of python-can; a BLF has channels by number."""
+def messages(records: Sequence[Record], *, named: bool) -> Iterator[can.Message]:
+    """Their frames for a log of python-can, with channels by name or by number."""
     for record in records:
         for frame in _frames(record):
             yield can.Message(
@@ -120,7 +121,7 @@ def messages(records: Sequence[Record], *, blf: bool) -> Iterator[can.Message]:
                 data=None if frame.remote else frame.data,
                 is_extended_id=frame.extended,
                 is_remote_frame=frame.remote,
-                channel=0 if blf else frame.bus,
+                channel=frame.bus if named else 0,
                 is_rx=frame.received_ns is not None,
                 is_fd=frame.fd,
                 bitrate_switch=frame.bit_rate_switch,

@@ -16,7 +16,7 @@ from gateway.recording.disk import segment_path
 from gateway.recording.packets import Record
 from gateway.types import CycleTiming, Twist
 from replay.compare.retrace import columns, rows
-from replay.logs import blf
+from replay.logs import blf, mf4
 from replay.logs.export import Format, export, format_of, logged
 from replay.logs.formats import opened
 from replay.logs.logged import Clock, LogError, Logged
@@ -25,10 +25,15 @@ from tests.recordings import write, write_drive
 from tests.world import World
 
 SECOND_NS = 10**9
-FRAMES = [Format.CANDUMP, Format.ASC, Format.BLF, Format.MCAP]
-READERS = {Format.CANDUMP: can.CanutilsLogReader, Format.ASC: can.ASCReader, Format.BLF: can.BLFReader}
-SUFFIX = {Format.CANDUMP: "log", Format.ASC: "asc", Format.BLF: "blf", Format.MCAP: "mcap", Format.PARQUET: "parquet"}
-EXACT_NS = {Format.CANDUMP: 1000, Format.ASC: 1, Format.BLF: 1, Format.MCAP: 1}  # the least that a time is told in
+FRAMES = [Format.CANDUMP, Format.ASC, Format.BLF, Format.MF4, Format.MCAP]
+READERS = {
+    Format.CANDUMP: can.CanutilsLogReader,
+    Format.ASC: can.ASCReader,
+    Format.BLF: can.BLFReader,
+    Format.MF4: can.MF4Reader,
+}
+SUFFIX = {to: "log" if to is Format.CANDUMP else to.value for to in Format}
+EXACT_NS = {to: 1000 if to is Format.CANDUMP else 1 for to in FRAMES}  # the least that a time is told in
 
 
 @pytest.fixture(scope="module")
@@ -91,12 +96,17 @@ def by_python_can(found: can.Message) -> tuple[object, ...]:
 def test_python_can_reads_every_frame(to: Format, name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     session: Session = request.getfixturevalue(name)
     expected = list(logged(session))
-    messages = list(READERS[to](written(session, to, tmp_path)))
+    with READERS[to](written(session, to, tmp_path)) as log:
+        messages = list(log)
+    if to is Format.MF4:  # where remote frames are apart, and it cannot tell what is first within 240 ns
+        expected.sort(key=lambda one: one.frame.remote)
+        messages.sort(key=lambda one: one.is_remote_frame)
     assert list(map(by_python_can, messages)) == list(map(message, expected))
     begin_ns = when(expected[0]) // 10**6 * 10**6 if to is Format.ASC else 0  # it tells them since the beginning
     for found, one in zip(messages, expected, strict=True):
         assert abs(found.timestamp - (when(one) - begin_ns) / SECOND_NS) < 2e-6  # its times are floats
-    numbers = {"can0": "can0", "can1": "can1"} if to is Format.CANDUMP else {"can0": 0, "can1": 1}
+    first = 1 if to is Format.MF4 else 0  # it counts those of the others from 0
+    numbers = {"can0": "can0", "can1": "can1"} if to is Format.CANDUMP else {"can0": first, "can1": first + 1}
     assert [found.channel for found in messages] == [numbers[one.frame.bus] for one in expected]
 
 
@@ -183,6 +193,23 @@ def test_a_file_is_whole_or_as_it_was(session: Session, tmp_path: Path, monkeypa
     assert asked(session.path, path).exit_code == 2
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_written_is_named(session: Session, tmp_path: Path) -> None:
+    path = tmp_path / "nothing" / "drive.log"
+    result = asked(session.path, path, "--json")
+    problem = f"{path}: cannot be written: No such file or directory"
+    assert (result.exit_code, json.loads(result.stdout)["problem"]) == (2, problem)
+
+
+def test_without_the_package_for_mf4_it_is_said_what_to_install(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mf4, "is_installed", lambda: False)
+    result = asked(session.path, tmp_path / "drive.mf4", "--json")
+    assert result.exit_code == 2
+    assert "pip install 'drivegate[mf4]'" in json.loads(result.stdout)["problem"]
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_suffix_says_what_to_write() -> None:

@@ -346,7 +346,7 @@ def test_packed_with_gzip(tmp_path: Path) -> None:
 FOREIGN = {
     "BusMaster": b"***BUSMASTER Ver 2.4.0***\n",
     "session": b"RRF2\0\0\0\0",
-    "MF4": b"MDF     4.10    ",
+    "MDF of before version 4": b"MDF     3.30    ",
     "Microchip": b"//----\nMicrochip Technology Inc.\n",
     "CRTD": b"166.064000 CXX GVRET-PC Output\n",
     "expected candump": b"hello\n",

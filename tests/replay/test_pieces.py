@@ -10,7 +10,9 @@ from typer.testing import CliRunner, Result
 from gateway.cli.app import build
 from gateway.core.engine import Engine
 from gateway.recording.disk import segment_path
+from gateway.recording.failures import WriterDeadError
 from gateway.recording.packets import Record, Snapshot
+from gateway.recording.writer import SessionWriter
 from gateway.types import CycleTiming, Twist
 from replay.compare.verify import verify
 from replay.drive.pieces import cut, merge
@@ -133,7 +135,7 @@ def test_what_is_no_piece(recorded: Path, tmp_path: Path) -> None:
     whole = open_session(recorded)
     with pytest.raises(SessionError, match="no cycle was recorded from 9 s to 10 s"):
         cut(whole, tmp_path, begin=9.0, end=10.0)
-    with pytest.raises(SessionError, match="no cycle was recorded"):
+    with pytest.raises(SessionError, match=r"from 1 s to 0\.5 s: the end is in front of the beginning"):
         cut(whole, tmp_path, begin=1.0, end=0.5)
     with pytest.raises(SessionError, match="schema 1"):
         cut(open_session(OLD), tmp_path)
@@ -143,6 +145,53 @@ def test_what_is_no_piece(recorded: Path, tmp_path: Path) -> None:
     stranger = open_session(write_drive(other, world, started_ns=1_780_000_000_000_000_000))
     with pytest.raises(SessionError, match="not pieces of one session"):
         merge([whole, stranger], tmp_path)
+
+
+def test_sessions_of_one_name_are_told_apart(recorded: Path, tmp_path: Path) -> None:
+    """Two robots of one name may start in the same second."""
+    world = World("moby", rate_hz=RATE_HZ)
+    world.start()
+    world.text += "\n# another one\n"
+    namesake = open_session(write_drive(tmp_path, world))
+    assert namesake.header.session == recorded.name
+    with pytest.raises(SessionError, match=f"two sessions called {recorded.name}: they differ in the robot file"):
+        merge([open_session(recorded), namesake], tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+def dead(*_: object, **__: object) -> None:
+    raise WriterDeadError("no quota")
+
+
+def test_a_full_disk_is_told_and_nothing_is_left(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("replay.drive.recording.free_bytes", lambda _: 1000)
+    for command in ("cut", "merge"):
+        arguments = ["replay", command, str(recorded), "--out", str(tmp_path), "--json"]
+        result = CliRunner().invoke(build("replay"), arguments)
+        assert result.exit_code == 2
+        assert "disk full: 1000 bytes free" in json.loads(result.stdout)["problem"]
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dead_writer_leaves_nothing_either(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not touched again, and its process ends at once."""
+    monkeypatch.setattr(SessionWriter, "write", dead)
+    monkeypatch.setattr(SessionWriter, "close", lambda *_, **__: pytest.fail("it may block for ever"))
+    ended: list[int] = []
+    monkeypatch.setattr("os._exit", ended.append)
+    result = CliRunner().invoke(build("replay"), ["replay", "cut", str(recorded), "--out", str(tmp_path), "--json"])
+    assert (result.exit_code, ended) == (2, [2])
+    assert json.loads(result.stdout) == {"problem": "no quota"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_of_the_system_names_its_file(recorded: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    arguments = ["replay", "cut", str(recorded), "--out", str(tmp_path / "file"), "--json"]
+    result = CliRunner().invoke(build("replay"), arguments)
+    assert (result.exit_code, json.loads(result.stdout)["problem"]) == (2, f"{tmp_path / 'file'}: File exists")
 
 
 def test_what_was_recorded_is_in_a_piece_and_not_what_would_be_said_now(tmp_path: Path) -> None:

@@ -170,6 +170,8 @@ def test_the_trace_of_every_cycle_is_computed_again(session: Path, world: World)
 
 def test_the_trace_goes_on_behind_a_gap(session: Path) -> None:
     segment_path(session, 2).unlink()
+    for command in ("trace", "can"):
+        assert told(command, str(session), "--from", "900").exit_code == 2
     found = told("trace", str(session))
     assert found.exit_code == 3
     cycles = [int(row["cycle"]) for row in csv.DictReader(found.stdout.splitlines())]
