@@ -134,9 +134,8 @@ def _reasons(summary: Summary, judged: Judged) -> list[str]:
     """What more there is to say of the verdict."""
     verdict = judged.verdict
     problems = () if verdict.problem is None else (verdict.problem,)
-    compared = f"{verdict.cycles:,} cycles with {verdict.frames:,} sent frames were run and compared."
     told = [
-        compared,
+        f"Run and compared: {_many(verdict.cycles, 'cycle')} with {_many(verdict.frames, 'sent frame')}.",
         *[f"The recording: {one}." for one in summary.problems or problems],
         "" if verdict.software_change is None else f"The software is another one: {verdict.software_change}.",
         "" if verdict.first_unproven is None else f"Proven are the cycles in front of {verdict.first_unproven:,}.",
@@ -146,6 +145,10 @@ def _reasons(summary: Summary, judged: Judged) -> list[str]:
         "" if verdict.refused is None else f"A recorded state was of no use: {verdict.refused}.",
     ]
     return [one for one in told if one]
+
+
+def _many(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _first(difference: Difference | None) -> dict[str, str]:
