@@ -1,6 +1,6 @@
 """The figures of a report as the template draws them: places, paths and words, no markup."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from math import ceil, degrees, log10
 from typing import NamedTuple
@@ -24,6 +24,7 @@ LEVELS = ("error", "warning", "request", "info")  # in the order of their rows
 NAMED = 0.02  # of the width: a mode that is shorter has its name in the legend alone
 MOST_ROWS = 24
 ROBOTS = 10  # drawn along a path, besides those at its ends
+LEAST = 8.0  # of the width of a figure: two pixels of a screen
 MAP_WIDE = 1000.0
 MAP_SHAPES = (0.3, 0.5)  # height by width
 LATENCIES_US = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000)
@@ -125,12 +126,28 @@ def chart(panel: Panel, stretches: Stretches, seconds: float, gaps: Sequence[tup
 
 
 def missing(gaps: Sequence[tuple[float, float]], seconds: float) -> list[Box]:
-    """Where cycles are."""
-    x = across(seconds)
+    """Where cycles are; gaps with hardly anything between them as one."""
+    x, near = across(seconds), seconds * LEAST / WIDE
+    joined: list[tuple[float, float]] = []
+    for begin, end in gaps:
+        if joined and begin - joined[-1][1] < near:
+            joined[-1] = joined[-1][0], end
+        else:
+            joined.append((begin, end))
     return [
-        Box(x.at(begin), max(x.at(end) - x.at(begin), 8.0), "gap", f"not recorded: {begin:.3f} s to {end:.3f} s")
-        for begin, end in gaps
+        Box(x.at(begin), max(x.at(end) - x.at(begin), LEAST), "gap", f"not recorded: {begin:.3f} s to {end:.3f} s")
+        for begin, end in joined
     ]
+
+
+def _widest(boxes: Iterable[Box], apart: float) -> list[Box]:
+    """Of boxes that begin at the same place the widest, so that there are only so many."""
+    found: dict[int, Box] = {}
+    for box in boxes:
+        place = int(box.left / apart)
+        if place not in found or found[place].width < box.width:
+            found[place] = box
+    return list(found.values())
 
 
 def _kinds(series: Sequence[Series]) -> list[str]:
@@ -154,9 +171,10 @@ def timeline(
 ) -> Timeline:
     """Modes, what each source commanded, requests and events."""
     x = across(seconds)
-    rows = [Row("mode", "modes", [_stay(one, x) for one in modes])]
+    rows = [Row("mode", "modes", _widest((_stay(one, x) for one in modes), 1.0))]
     rows += [
-        Row(one.source, "commands", list(_commands(one.stretches, stretches, x))) for one in said.commanders.values()
+        Row(one.source, "commands", _widest(_commands(one.stretches, stretches, x), LEAST))
+        for one in said.commanders.values()
     ]
     happened = sorted(said.happened, key=lambda one: LEVELS.index(one.level))
     rows += [_marks(one, stretches, x) for one in happened if (one.level, one.code) not in SHOWN]

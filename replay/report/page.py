@@ -18,6 +18,7 @@ from replay.report.timing import Latency, Timing
 from replay.sessions.summary import Summary
 
 MOST_ROWS = 100  # of a table, what is left out is counted
+MOST_LETTERS = 1000  # of a text
 PERCENTS = (50.0, 99.0, 99.9)
 MEANS = {
     EXIT_IDENTICAL: (
@@ -30,14 +31,7 @@ MEANS = {
         "or not provably as it was recorded."
     ),
 }
-NOT_REPLAYABLE = "Whether this software would do the same again cannot be told."
-_TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).parent),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+NOTHING_COMPARED = "Whether this software would do the same again cannot be told."
 
 
 class Tile(NamedTuple):
@@ -56,6 +50,31 @@ class Few(NamedTuple):
     more: int
 
 
+def few(rows: Sequence[object]) -> Few:
+    """The first of them."""
+    return Few(rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
+
+
+def plain(value: float | None, digits: int = 3) -> str:
+    """A number for people."""
+    return "unknown" if value is None else f"{value:,.{digits}f}"
+
+
+def short(text: str) -> str:
+    """What of a text there is room for."""
+    return text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
+
+
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_TEMPLATES.globals |= {"few": few, "plain": plain, "short": short}
+
+
 def page(summary: Summary, judged: Judged, driven: Drive, timing: Timing | None) -> str:
     """As HTML."""
     template = _TEMPLATES.get_template("page.html")
@@ -65,7 +84,7 @@ def page(summary: Summary, judged: Judged, driven: Drive, timing: Timing | None)
         summary=summary,
         judged=judged,
         verdict=judged.verdict,
-        means=MEANS.get(judged.verdict.exit_code, NOT_REPLAYABLE),
+        means=MEANS.get(judged.verdict.exit_code, NOTHING_COMPARED) if judged.verdict.cycles else NOTHING_COMPARED,
         reasons=_reasons(summary, judged),
         first=_first(judged.verdict.first_difference),
         differences=judged.differences,
@@ -78,29 +97,17 @@ def page(summary: Summary, judged: Judged, driven: Drive, timing: Timing | None)
         histogram=None if timing is None else figures.histogram(timing),
         latencies=[] if timing is None else _latencies(timing),
         fault_rows=[
-            (one.level, one.code, f"{one.times:,}", _plain(one.t), _plain(one.last_t), one.text)
+            (one.level, one.code, f"{one.times:,}", plain(one.t), plain(one.last_t), short(one.text))
             for one in summary.faults
         ],
         command_rows=[
-            (one.source, f"{one.commands:,}", *map(_plain, (one.t, one.last_t, one.speed, one.turning)))
+            (one.source, f"{one.commands:,}", *map(plain, (one.t, one.last_t, one.speed, one.turning)))
             for one in driven.said.commanders.values()
         ],
         refused_rows=[(why, f"{times:,}") for why, times in driven.said.refused.items()],
         gap_rows=[(f"{gap.first_cycle:,}", f"{gap.last_cycle:,}", gap.reason) for gap in summary.gaps],
         driven=driven,
-        few=few,
-        plain=_plain,
     )
-
-
-def few(rows: Sequence[object]) -> Few:
-    """The first of them."""
-    return Few(rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
-
-
-def _plain(value: float | None, digits: int = 3) -> str:
-    """A number for people."""
-    return "unknown" if value is None else f"{value:,.{digits}f}"
 
 
 def _tiles(summary: Summary, driven: Drive) -> list[Tile]:
@@ -118,8 +125,8 @@ def _tiles(summary: Summary, driven: Drive) -> list[Tile]:
         Tile("warnings", "warnings", f"{faults['warning']:,}"),
     ]
     if motion is not None:
-        tiles.append(Tile("distance", "driven, by odometry", _plain(motion.track.distance), "m"))
-        tiles.append(Tile("speed", "top speed measured", _plain(motion.top_speed), "m/s" if motion.top_speed else ""))
+        tiles.append(Tile("distance", "driven, by odometry", plain(motion.track.distance), "m"))
+        tiles.append(Tile("speed", "top speed measured", plain(motion.top_speed), "m/s" if motion.top_speed else ""))
     return tiles
 
 
@@ -127,9 +134,8 @@ def _reasons(summary: Summary, judged: Judged) -> list[str]:
     """What more there is to say of the verdict."""
     verdict = judged.verdict
     problems = () if verdict.problem is None else (verdict.problem,)
-    compared = f"{verdict.cycles:,} cycles with {verdict.frames:,} sent frames were run and compared."
     told = [
-        compared,
+        f"Run and compared: {_many(verdict.cycles, 'cycle')} with {_many(verdict.frames, 'sent frame')}.",
         *[f"The recording: {one}." for one in summary.problems or problems],
         "" if verdict.software_change is None else f"The software is another one: {verdict.software_change}.",
         "" if verdict.first_unproven is None else f"Proven are the cycles in front of {verdict.first_unproven:,}.",
@@ -139,6 +145,10 @@ def _reasons(summary: Summary, judged: Judged) -> list[str]:
         "" if verdict.refused is None else f"A recorded state was of no use: {verdict.refused}.",
     ]
     return [one for one in told if one]
+
+
+def _many(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _first(difference: Difference | None) -> dict[str, str]:

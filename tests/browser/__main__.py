@@ -86,7 +86,7 @@ def texts(page: Page, told: Told) -> Faults:
     yield from (
         f"{key}: {found.get(key)!r}, not {value!r}" for key, value in expected.items() if found.get(key) != value
     )
-    wanted = [f"{verdict['cycles']:,} cycles with {verdict['frames']:,} sent frames", *info["problems"]]
+    wanted = [f"compared: {verdict['cycles']:,} cycle", f" with {verdict['frames']:,} sent frame", *info["problems"]]
     wanted += [fault["text"] for fault in info["faults"]] + [fault["code"] for fault in info["faults"]]
     if verdict["first_difference"]:
         wanted += [verdict["first_difference"][key] for key in ("field", "recorded", "replayed")]

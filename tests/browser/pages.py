@@ -23,7 +23,7 @@ from tests.recordings import write
 SCENARIOS = Path(__file__).parent.parent.parent / "deploy" / "scenarios"
 OLD = Path(__file__).parent.parent / "sessions"
 HOSTILE = "<script>document.title='taken'</script><img src=x onerror=alert(1)>\"'&amp;"
-KINDS = {"moby": 0, "slip": 0, "fault": 0, "odd": 0, "incomplete": 3, "different": 1, "old": 1}  # exit codes of verify
+KINDS = {"moby": 0, "omni4": 0, "odd": 0, "slip": 0, "incomplete": 3, "different": 1, "old": 1}  # exit codes of verify
 
 
 class Told(NamedTuple):
@@ -52,14 +52,12 @@ def reports(directory: Path, names: Iterable[str] = KINDS) -> Iterator[Told]:
 
 
 def _session(name: str, directory: Path) -> Path:
-    """moby and odd of the corpus: a fault, an emergency stop; omni4 that slips, and with a frozen encoder."""
+    """Those of the corpus have a motor that is lost and an emergency stop."""
     match name:
-        case "moby" | "odd":
+        case "moby" | "omni4" | "odd":
             return FOLDER / name
         case "slip":
             return _driven("oil_patch", directory)
-        case "fault":
-            return _driven("frozen_encoder", directory)
         case "incomplete":
             return _cut(FOLDER / "omni4", directory)
         case "different":

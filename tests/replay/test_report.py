@@ -25,12 +25,15 @@ from gateway.recording.packets import Record
 from gateway.types import (
     Event,
     Level,
+    Mode,
     Refusal,
     RefusalCode,
     Reply,
     Request,
     RequestKind,
     Twist,
+    TwistCommand,
+    TwistFrame,
 )
 from replay.report import gather, track
 from replay.report.binned import Binned, Stretches, stretches_of
@@ -263,6 +266,25 @@ def test_the_distance_is_that_of_the_odometry(tmp_path: Path) -> None:
     assert (last.x, last.y, last.theta) == tuple(poses[-1])
     speeds = [hypot(t.vx, t.vy) for _, outputs in world.records if (t := outputs.trace.measured) is not None]
     assert found.motion.top_speed == max(speeds)
+
+
+def test_a_page_is_small_whatever_happened(tmp_path: Path) -> None:
+    """The mode changes in every cycle, cycles are missing, everybody talks, and at length."""
+    records = []
+    modes = list(Mode)
+    for record in drive(12_000, received=1, sent=1):
+        inputs, outputs = record.inputs, record.outputs
+        if inputs.cycle % 20 == 19:
+            continue
+        twist = Twist(0.1 * (inputs.cycle % 2), 0.0, 0.0)
+        said = TwistCommand(f"source_{inputs.cycle % 90}", twist, TwistFrame.BODY, None, inputs.now_ns)
+        event = Event(Level.ERROR, f"code_{inputs.cycle % 70}", "words " * 500)
+        outputs = outputs._replace(mode=modes[inputs.cycle % len(modes)], events=(event,))
+        records.append(Record(inputs._replace(commands=(said,)), outputs, record.timing))
+    text, markup = page_of(write(tmp_path, records, batch=400), tmp_path, 3)
+    assert len(text) < 3_000_000
+    assert markup.texts["missing"] == "599"
+    assert "others" in markup.texts["commands"]
 
 
 def test_memory_and_size_do_not_grow_with_the_drive(tmp_path: Path) -> None:
