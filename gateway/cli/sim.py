@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 from threading import Event, Thread
 from typing import Annotated
 
-import can
 import typer
 import zenoh
 
@@ -17,6 +16,7 @@ from gateway.client import MAX_MESSAGE_SIZE
 from gateway.config import RobotConfig, load
 from gateway.core.examination import examine
 from gateway.edges.messages import encode_truth
+from gateway.edges.python_can import can
 from gateway.edges.zenoh_session import Receivers, open_zenoh
 from replay.sim.controllers.contract import SECOND_NS
 from replay.sim.network_device import MotorsInterface

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, ParamSpec, TypeVar
 
-import can
-
 from drivers.contract import FD_LENGTHS, CanFrame
+from gateway.edges.python_can import can
 
 MAX_LENGTH = 8  # bytes of a classic frame
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF

@@ -28,8 +28,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-import can
-
 from drivers.contract import CanFrame, ReceiveFilter
 from gateway.config import Bus, ConfigError, RobotConfig
 from gateway.core.assembly import Robot, build
@@ -37,6 +35,7 @@ from gateway.edges.can_adapter import AdapterError, ask, epoch_ns, flaw, frame_o
 from gateway.edges.can_errors import meanings
 from gateway.edges.can_thread import AdapterThread
 from gateway.edges.claims import Claims, InUseError
+from gateway.edges.python_can import can
 from gateway.types import BusEvent, BusEventKind
 
 logger = logging.getLogger(__name__)

@@ -16,9 +16,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from threading import Condition, Thread
 
-import can
-
 from gateway.edges.can_adapter import AdapterError, ask
+from gateway.edges.python_can import can
 
 MOST_WAITING = 10  # frames, from which no further cycle is taken; about as many as fit into a SocketCAN send buffer
 MAX_AGE_NS = 50_000_000  # of a frame that waits; shorter than any command timeout and motor watchdog

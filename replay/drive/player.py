@@ -14,10 +14,9 @@ from collections.abc import Iterator, Sequence
 from enum import Enum
 from typing import NamedTuple
 
-import can
-
 from drivers.contract import CanFrame
 from gateway.edges.can_adapter import MAX_EXTENDED_ID, MAX_STANDARD_ID, AdapterError, ask, message_of
+from gateway.edges.python_can import can
 from replay.sessions.reader import Session
 
 LISTEN_S = 0.3  # ODrive's slowest default message is its heartbeat, every 0.1 s

@@ -5,10 +5,9 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-import can
-
 from gateway.config import Motor
 from gateway.edges.can_bus import interface_exists
+from gateway.edges.python_can import can
 
 logger = logging.getLogger(__name__)
 

@@ -13,11 +13,10 @@ import threading
 import time
 from collections.abc import Mapping
 
-import can
-
 from drivers.contract import CanFrame
 from gateway.config import RobotConfig
 from gateway.edges.can_adapter import AdapterError, ask, flaw, frame_of, message_of
+from gateway.edges.python_can import can
 from replay.sim.controllers.contract import STEP_NS, Emission
 from replay.sim.plants.contract import Plant
 from replay.sim.robot import SimulatedRobot
