@@ -17,6 +17,13 @@ def complain(text: str) -> None:
     errors.print(text, style="red", markup=False, highlight=False)
 
 
+def in_words(error: Exception) -> str:
+    """What an exception says; of the system's with the file in front, where it names one."""
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
 def print_json(document: Mapping[str, object]) -> None:
     """The last line of standard output of a command called with --json."""
     sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

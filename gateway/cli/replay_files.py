@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.recording.disk import segments
 from replay.compare.verify import EXIT_NOT_REPLAYABLE
 from replay.sessions.reader import SessionError
@@ -32,8 +32,8 @@ def repair(
         done = _with_progress(session, out)
     except (SessionError, OSError) as error:
         if json:
-            print_json({"session": str(session), "out": None, "problem": str(error)})
-        complain(str(error))
+            print_json({"session": str(session), "out": None, "problem": in_words(error)})
+        complain(in_words(error))
         raise typer.Exit(EXIT_NOT_REPLAYABLE) from None
     if json:
         print_json(done.as_json())

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.cli.output import complain, console, print_json
+from gateway.cli.output import complain, console, in_words, print_json
 from gateway.cli.replay_verify import show
 from gateway.config import ConfigError, load
 from gateway.recording.failures import WriterDeadError
@@ -330,12 +330,9 @@ def _show_difference(found: Difference) -> None:
 
 
 def _refuse(error: Exception, *, json: bool) -> NoReturn:
-    words = str(error)
-    if isinstance(error, OSError) and error.filename is not None:
-        words = f"{error.filename}: {error.strerror}"
     if json:
-        print_json({"problem": words})
-    complain(words)
+        print_json({"problem": in_words(error)})
+    complain(in_words(error))
     if isinstance(error, WriterDeadError):
         os._exit(EXIT_NOT_REPLAYABLE)  # what is left of the writer would block every other way out
     raise typer.Exit(EXIT_NOT_REPLAYABLE) from None

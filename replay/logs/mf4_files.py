@@ -250,36 +250,45 @@ def main(limits: mf4.Limits) -> None:
     _limit(resource.RLIMIT_CORE, 0)
     _limit(resource.RLIMIT_DATA, limits.memory)
     _limit(resource.RLIMIT_FSIZE, limits.file)
+    telling = _Telling()
     try:
-        _tell_all(limits.seconds)
+        _tell_all(telling, limits.seconds)
     except Exception as error:  # whatever damage makes of it
-        _say(mf4.FAILED, f"{type(error).__name__} {str(error)[:_WORDS]}".strip())
+        telling.say(mf4.FAILED, f"{type(error).__name__} {str(error)[:_WORDS]}".strip())
 
 
-def _tell_all(seconds: int) -> None:
+def _tell_all(telling: "_Telling", seconds: int) -> None:
     _more_time(seconds)
     with open(0, "rb+" if _may_write() else "rb", closefd=False) as file:  # it has no path
         log = Log(file)
         for buses, rows in log.pieces():
-            _say(mf4.HEAD, {"style": log.style, "clock": log.clock.name, "buses": buses})
-            _tell(mf4.ROWS, rows)
+            telling.say(mf4.HEAD, {"style": log.style, "clock": log.clock.name, "buses": buses})
+            telling.tell(mf4.ROWS, rows)
             _more_time(seconds)
     for what, times in log.left_out.items():
-        _say(mf4.LEFT_OUT, [what, times, "the whole log"])
-    _say(mf4.END, None)
+        telling.say(mf4.LEFT_OUT, [what, times, "the whole log"])
+    telling.say(mf4.END, None)
 
 
 def _may_write() -> bool:
     return fcntl.fcntl(0, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDWR
 
 
-def _say(kind: int, told: object) -> None:
-    _tell(kind, json.dumps(told).encode())
+class _Telling:
+    """What was the standard output; what `asammdf` prints of damage goes nowhere."""
 
+    def __init__(self) -> None:
+        self._out = os.fdopen(os.dup(1), "wb")
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
 
-def _tell(kind: int, content: bytes) -> None:
-    sys.stdout.buffer.write(mf4.MESSAGE.pack(kind, len(content)) + content)
-    sys.stdout.buffer.flush()
+    def say(self, kind: int, told: object) -> None:
+        self.tell(kind, json.dumps(told).encode())
+
+    def tell(self, kind: int, content: bytes) -> None:
+        self._out.write(mf4.MESSAGE.pack(kind, len(content)) + content)
+        self._out.flush()
 
 
 def _limit(what: int, least: int) -> None:

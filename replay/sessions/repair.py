@@ -75,8 +75,12 @@ def repaired(path: Path, out: Path | None = None, progress: Callable[[int], None
         return Repaired(path, None, (), session.cycle_count, (), None)
     out = out or path.with_name((path.name if path.is_dir() else path.stem) + SUFFIX)
     _make_empty(out, path)
-    segments = tuple(_segment(source, _target(source, out, session), progress) for source in session.segments)
-    sync(out)
+    try:
+        segments = tuple(_segment(source, _target(source, out, session), progress) for source in session.segments)
+        sync(out)
+    except BaseException:
+        shutil.rmtree(out)  # what there is of it would pass for all that was left
+        raise
     found = open_session(out)
     return Repaired(path, out, segments, found.cycle_count, found.gaps, found.problem)
 

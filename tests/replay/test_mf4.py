@@ -252,7 +252,7 @@ class Forked:
 def forked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     made = Forked(tmp_path)
     monkeypatch.setattr("replay.logs.mf4.subprocess.Popen", made)
-    monkeypatch.setattr(mf4, "LIMITS", mf4.Limits(1 << 29, 1 << 26, 2))
+    monkeypatch.setattr(mf4, "LIMITS", mf4.Limits(1 << 29, 1 << 26, 1))
     yield
     made.process.communicate()
 
@@ -284,6 +284,7 @@ def frames_of(path: Path, content: bytes) -> list[Logged]:
         return read(path)[0]
     except LogError as error:
         assert str(path) in str(error)
+        assert "ended with 0" not in str(error)  # nothing but the child's own words goes to the pipe
         return []
 
 
@@ -297,7 +298,7 @@ def test_cut_anywhere_the_frames_that_are_read_are_those_that_were(name: str, tm
     expected = frames_of(tmp_path / "log", content)
     assert len(expected) in {4, 5}
     chance = random.Random(name)
-    for length in (*chance.sample(range(64, len(content)), 40), *range(len(content) - 120, len(content), 8)):
+    for length in (*chance.sample(range(64, len(content)), 25), *range(len(content) - 120, len(content), 12)):
         found = frames_of(tmp_path / "log", content[:length])
         assert [one.frame for one in found] == [one.frame for one in expected][: len(found)]
 
@@ -307,7 +308,7 @@ def test_cut_anywhere_the_frames_that_are_read_are_those_that_were(name: str, tm
 def test_flipped_bits_are_no_exceptions(name: str, tmp_path: Path) -> None:
     content = whole(name, tmp_path)
     chance = random.Random(name)
-    for _ in range(100):
+    for _ in range(60):
         spoilt = bytearray(content)
         for _ in range(chance.choice((1, 1, 1, 4))):
             spoilt[chance.randrange(len(spoilt))] ^= 1 << chance.randrange(8)

@@ -219,3 +219,14 @@ def test_one_file_and_a_header_that_is_lost(recorded: Path, tmp_path: Path) -> N
     with pytest.raises(SessionError, match="no header"):
         repaired(file, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_full_disk_leaves_nothing(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    cut = spoilt(tmp_path / "cut", (recorded / "segment-00001.rrd").read_bytes()[:-150_000])
+    monkeypatch.setattr("replay.sessions.repair.sync", full)
+    code, told, _ = run(cut, "--out", tmp_path / "out", "--json")
+    assert (code, json.loads(told)["problem"]) == (2, "No space left on device")
+    assert not (tmp_path / "out").exists()
