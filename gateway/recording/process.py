@@ -218,6 +218,8 @@ def _writer(config: RobotConfig, hello: Hello) -> Writer:
     """Raises OSError when the folder of a session cannot be made."""
     if not config.recording.enabled:
         return Unrecorded()
+    # Arrow looks for pandas at its first array and loads it where it is there: half as long again until it records.
+    sys.modules.setdefault("pandas", None)  # type: ignore[arg-type]  # which the import system takes for "not there"
     from gateway.recording.writer import SessionWriter  # noqa: PLC0415  # with Rerun, 75 MB
 
     return SessionWriter(config, hello)
