@@ -6,7 +6,7 @@ from typing import Any
 
 from rerun.chunk import RrdReader
 
-from gateway.recording.schema import CYCLE, STATUS_PATH
+from gateway.recording.schema import CYCLE, STATUS_PATH, WALL
 
 Drawn = dict[str, dict[int, list[str]]]  # rows in words (in which NaN equals NaN), by entity and cycle, in order
 STATIC = -1
@@ -24,11 +24,12 @@ def drawn(files: Iterable[Path]) -> Drawn:
 
 
 def _take(rows: dict[int, list[str]], batch: Any, *, first: bool) -> None:  # noqa: ANN401  # pyarrow has no types
-    names = sorted(name for name in batch.schema.names if ":" in name or name in {CYCLE, "wall"})
+    names = sorted(name for name in batch.schema.names if ":" in name or name in {CYCLE, WALL})
     static = CYCLE not in names
     if static and not first:
         return
-    columns = [batch.column(name).to_pylist() for name in names]
-    for row in zip(*columns, strict=True):
+    # Nanoseconds as they are: only pandas has a time of that resolution.
+    columns = [batch.column(name).cast("int64") if name == WALL else batch.column(name) for name in names]
+    for row in zip(*(column.to_pylist() for column in columns), strict=True):
         cells = dict(zip(names, row, strict=True))
         rows.setdefault(STATIC if static else cells[CYCLE], []).append(repr(cells))

@@ -92,8 +92,8 @@ class Follower:
             return
         try:
             recording.draw(batch.samples)
-        except (OverflowError, TypeError, ValueError) as error:
-            self._tell_once(f"{self._name}: cannot be drawn: {error}")
+        except Exception as error:  # anybody may put there what he likes
+            self._tell_once(f"{self._name}: cannot be drawn: {type(error).__name__}: {error}")
 
     def _recording_of(self, batch: Batch) -> LiveRecording | None:
         """Of the run of this batch, whose robot file may be another one than before."""

@@ -106,8 +106,8 @@ class LiveView:
             self._sampler = None
             return
         if self._sampler is None:
-            self._waiting.clear()
-            self._sampler = Sampler()
+            # A new one, because the thread may be taking from the old one.
+            self._sampler, self._waiting = Sampler(), deque(maxlen=MAX_SAMPLES)
         sample = self._sampler.step(inputs, outputs, timing)
         if sample is not None:
             self._waiting.append(sample)
@@ -140,7 +140,8 @@ class LiveView:
             self._watched = False
 
     def _put(self) -> None:
-        samples = tuple(self._waiting.popleft() for _ in range(len(self._waiting)))
+        waiting = self._waiting
+        samples = tuple(waiting.popleft() for _ in range(len(waiting)))
         if not samples:
             return
         try:

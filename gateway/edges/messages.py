@@ -14,6 +14,7 @@
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |
 | `reachable`          | both       | `{"t", "rank", "effort", "speed", "reachable": [twist], "lost": [twist]}`      |
 | `truth`              | subscribe  | `{"t", "x", "y", "theta"}`; only from a simulated robot                        |
+| `view`               | subscribe  | no JSON, and only while somebody does: see `gateway.edges.live_view`           |
 | `status`             | get        | the newest `state`                                                             |
 | `config`             | get        | the robot file as it was read (TOML)                                           |
 | `alive`              | liveliness | there while the gateway runs                                                   |

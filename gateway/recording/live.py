@@ -43,7 +43,7 @@ class LiveRecording:
     def draw(self, samples: Sequence[Sample]) -> None:
         """The next batch; what is missing in front of and within it is said in the events.
 
-        Raises OverflowError, TypeError, ValueError for what cannot be drawn.
+        Raises whatever it is where that is no drive of this robot.
         """
         for piece in _pieces(samples):
             self._views.draw(self._recording, piece, self._gaps(piece[0]))

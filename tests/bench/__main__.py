@@ -117,7 +117,7 @@ AIMS: Mapping[str, Aim] = {
     **{
         f"view_{word}_{name}": Aim(f"view_{word}_none")
         for name in ("one", "ten", "frozen", "killed")
-        for word in ("late_p50_us", "late_p99_us", "late_p999_us", "cycles_missed_percent", "cpu_ms_per_s")
+        for word in view.Figures._fields
     },
     "view_memory_growth_kb_frozen": Aim("view_memory_growth_kb_none"),
     "view_records_dropped": Aim(most=0.0),

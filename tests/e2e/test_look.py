@@ -35,8 +35,8 @@ def test_what_is_seen_is_what_the_session_shows(name: str, tmp_path: Path, free_
         follower = Follower(client, opens, lambda _: None)
         Thread(target=follower.draw_for_ever, daemon=True).start()
         eventually(lambda: follower.recordings)  # it stands until then, so that the path begins at one place
-        robot.start()
-        robot.stream(0.3, 0.0, 0.2, until=faster_than(0.25))
+        begun = robot.start().status.cycle
+        robot.stream(0.3, 0.0, 0.2, until=lambda state: state.status.cycle > begun + 4 * HALF_SECOND)
         seen = robot.await_state(standing).status.cycle  # it stands: this much is in the files, and more
         robot.await_state(lambda state: state.status.cycle > seen + HALF_SECOND)
         assert robot.end() == 0

@@ -134,6 +134,8 @@ def test_a_line_that_is_not_the_robots_comes_after_the_newest_cycle(tmp_path: Pa
     recording.close()
     rows = drawn([tmp_path / "live.rrd"])["/trace/events"]
     assert "view: it is silent" in rows[samples[9].cycle][-1]
+    wall_ns = int(rows[samples[9].cycle][-1].rpartition("'wall': ")[2].rstrip("}"))
+    assert wall_ns >= samples[9].wall_ns, "at the robot's time"
     assert "too early" not in repr(rows)
 
 

@@ -13,6 +13,7 @@ from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
+import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,7 +23,7 @@ from gateway.core.samples import Sampler
 from gateway.edges.live_view import MAX_SAMPLES, VIEW_SCHEMA, Batch, decode_batch, encode_batch
 from gateway.edges.zenoh_link import ZenohLink
 from gateway.recording.packets import Record
-from gateway.types import Sample
+from gateway.types import Event, Level, Sample
 from tests.drives import drive
 from tests.gateway.test_zenoh_link import TIMEOUT_S, eventually
 from tests.gateway.test_zenoh_link import _robot as robot
@@ -154,6 +155,25 @@ def test_one_that_is_frozen_or_killed_costs_the_others_nothing(link: ZenohLink, 
             count = len(seen)
             loop.until(lambda: len(seen) > count + 50)
         assert all(sample.since == before.cycle + 1 for before, sample in pairwise(seen))
+
+
+def test_one_whose_connection_is_full_is_waited_for_by_nobody(link: ZenohLink, endpoint: str) -> None:
+    """More than the sockets of both sides hold."""
+    assert link._view._publisher.congestion_control == zenoh.CongestionControl.DROP
+    long = (Event(Level.INFO, "long", "x" * 60_000),)
+    records, seen = drive(10**6), list[Sample]()
+    with subprocess.Popen([sys.executable, "-c", SUBSCRIBER, endpoint], stdin=subprocess.PIPE) as process:
+        eventually(lambda: link._view._watched)
+        process.send_signal(signal.SIGSTOP)
+        with onlooker(endpoint, seen):
+
+            def much() -> bool:
+                record = next(records)
+                link.show(record.inputs, record.outputs._replace(events=long), record.timing)
+                return sum(len(sample.events) for sample in seen) > 500
+
+            eventually(much)
+        process.kill()
 
 
 def test_what_cannot_be_sent_in_time_is_dropped_oldest_first(link: ZenohLink) -> None:

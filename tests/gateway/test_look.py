@@ -16,7 +16,8 @@ from gateway.cli.app import build
 from gateway.cli.look import Follower
 from gateway.cli.viewer import LOOPBACK, LiveViewer, ViewerError, free_port
 from gateway.client import Client
-from gateway.edges.live_view import VIEW_SCHEMA
+from gateway.core.samples import Sampler
+from gateway.edges.live_view import VIEW_SCHEMA, Batch, encode_batch
 from gateway.edges.zenoh_link import ZenohLink
 from tests.drawn import Drawn, drawn
 from tests.drives import drive
@@ -134,6 +135,24 @@ def test_another_version_of_the_software_is_refused_in_words_and_once(stand: Sta
     assert said.startswith("moby: the robot's software is another version: 'of tomorrow'")
     stand.until_drawn()
     assert stand.said[1:] == ["looking at moby"]
+
+
+def test_what_cannot_be_drawn_is_said_and_the_rest_is_drawn(stand: Stand) -> None:
+    stand.until_drawn()
+    (record,) = drive(1)
+    trace = record.outputs.trace._replace(wheel_positions=(), wheel_speeds=(1.0,))
+    sample = Sampler().step(record.inputs, record.outputs._replace(trace=trace), record.timing)
+    assert sample is not None
+    stand.link._session.put("moby/view", encode_batch(Batch(stand.link._view._run, (sample,))))
+
+    def told() -> bool:
+        stand.follower.draw_next()
+        return len(stand.said) > 1
+
+    eventually(told)
+    assert stand.said[1].startswith("moby: cannot be drawn: ")
+    stand.until_drawn()
+    assert len(stand.said) == 2
 
 
 def test_a_robot_file_that_is_not_of_this_software_is_said(stand: Stand) -> None:

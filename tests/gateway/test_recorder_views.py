@@ -13,6 +13,7 @@ from gateway.recording.packets import Record
 from gateway.recording.shapes import CHASSIS_PATH
 from gateway.recording.writer import SessionWriter
 from gateway.types import Twist
+from tests.drawn import drawn as drawn_rows
 from tests.drives import drive
 from tests.recordings import PLENTY, hello, robot, write_drive, writer
 from tests.world import World
@@ -66,6 +67,34 @@ def test_plots_have_fifty_points_per_second_and_hide_no_late_cycle(tmp_path: Pat
     spent = rows(session.folder, "/trace/loop", "Scalars:scalars")
     assert max(cell[0] for (cell,) in spent.values()) == 80.0
     assert spent[point][0][0] == 80.0
+
+
+@pytest.mark.parametrize("batch", [10, 1000])
+def test_what_is_unknown_for_a_while_is_one_hole_in_its_line(tmp_path: Path, batch: int) -> None:
+    records = list(drive(1000, rate=500.0))
+    for place in range(300, 600):
+        outputs = records[place].outputs
+        trace = outputs.trace._replace(winner_age_s=None)
+        records[place] = Record(records[place].inputs, outputs._replace(trace=trace), records[place].timing)
+    session = writer(tmp_path)
+    for start in range(0, 1000, batch):
+        session.write(records[start : start + batch])
+    session.close()
+    drawn = rows(session.folder, "/trace/command_age", "Scalars:scalars")
+    assert sorted(drawn) == [*range(0, 310, 10), *range(600, 1000, 10)]
+    assert [cycle for cycle, ((age,),) in drawn.items() if np.isnan(age)] == [300]
+
+
+def test_every_segment_says_in_which_mode_it_begins(tmp_path: Path) -> None:
+    session = writer(tmp_path, segment_bytes=1)
+    records = list(drive(1000, rate=500.0))
+    for start in range(0, 1000, 500):
+        session.write(records[start : start + 500])
+    session.close()
+    files = sorted(session.folder.glob("*.rrd"))
+    assert len(files) > 1
+    for path in files:
+        assert len(drawn_rows([path])["/trace/mode"]) > 1, "besides the static row of its colours"
 
 
 def test_can_is_shown_in_words_twice_a_second(tmp_path: Path) -> None:

@@ -106,6 +106,7 @@ def test_samples_stand_for_every_cycle_that_there_was(records: list[Record]) -> 
     }
     missing = [one.inputs.cycle for before, one in pairwise(records) if one.inputs.cycle != before.inputs.cycle + 1]
     assert [since for _, since in sorted(holes)] == missing
+    assert all(sample.since == before.cycle + 1 or sample.since in missing for before, sample in pairwise(samples))
     assert samples[0].since == records[0].inputs.cycle
 
 
