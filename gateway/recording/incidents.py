@@ -3,7 +3,7 @@
 How this works
 --------------
 A ring (`gateway.recording.ring`) holds the last seconds. A cause opens a window around itself; another one within it
-moves its end, but never beyond twice the time in front and the time behind: what goes on longer is the next incident.
+moves its end, by no more than the time that is kept in front: what goes on longer is the next incident.
 When a window ends, its part of the ring is given to a process of its own (`gateway.recording.bundle`) in a file in
 memory, which takes a copy and no waiting; one at a time, while the next windows wait in the ring. What comes of it is
 asked for, never waited for. At the end windows end where the drive does, and their processes outlive this one.
