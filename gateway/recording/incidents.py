@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 PROGRAM = ("-m", "gateway.recording.bundle")
 MOST_WINDOWS = 4  # open, or waiting for the process of the one before
-WRITING_LIMIT_S = 120.0  # for one; then its process is ended
+WRITING_LIMIT_S = 300.0  # for one, of which it needs seconds on a computer at ease; then its process is ended
 ENDED_SILENTLY = "the process that writes it ended without a word (exit code {})"
 
 

@@ -327,6 +327,15 @@ def left(directory: Path) -> list[str]:
 
 
 def test_in_a_process_of_its_own(order: Order, tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        in_a_process_of_its_own(order, tmp_path)
+    finally:
+        os.umask(before)
+
+
+def in_a_process_of_its_own(order: Order, tmp_path: Path) -> None:
+    """Its modes are as they should be, whatever the umask."""
     written = finished(WritingProcess(encode(into(order, tmp_path))))
     assert (written.verdict, written.error) == ("identical", None)
     path = Path(str(written.file))
