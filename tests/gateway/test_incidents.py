@@ -100,8 +100,8 @@ def test_modes_of_a_real_drive() -> None:
 # what is kept in memory
 
 STEPS = st.lists(
-    st.tuples(st.sampled_from(["cycle"] * 6 + ["snapshot", "gap"]), st.integers(1, 700), st.integers(0, PIECE_BYTES)),
-    min_size=1,
+    st.tuples(st.sampled_from(["cycle"] * 6 + ["snapshot", "gap"]), st.integers(1, 700), st.integers(0, 300)),
+    min_size=20,
     max_size=80,
 )
 
@@ -112,7 +112,7 @@ def test_what_is_needed_is_there_in_order_and_no_more(
     steps: list[tuple[str, int, int]], keep_ms: int, forget: int
 ) -> None:
     """Against a list of all: from the last snapshot that is old enough, or, where there is none, from the first."""
-    ring, now_ns = Ring(), 10**12
+    ring, now_ns = Ring(piece=500), 10**12
     told: list[tuple[int, Packet]] = []
     for number, (kind, way_ms, size) in enumerate(steps):
         if kind == "cycle" or not told:
