@@ -26,7 +26,7 @@ import rerun as rr
 
 from gateway.config import RobotConfig
 from gateway.recording.blueprint import blueprint
-from gateway.recording.disk import FOLDER_MODE, INCIDENTS, free_bytes, incidents, new_incident, sync
+from gateway.recording.disk import FOLDER_MODE, INCIDENTS, free_bytes, incidents, make_folder, new_incident, sync
 from gateway.recording.failures import RecordingOffError, WriterDeadError
 from gateway.recording.header import header
 from gateway.recording.incidents import WRITING_LIMIT_S, Order, Written
@@ -67,7 +67,10 @@ def kept(order: Order) -> Written:
     judged = judgement(config, _packets(order))
     incident = msgspec.structs.replace(order.incident, judgement=judged)
     folder = Path(config.recording.directory) / INCIDENTS
-    folder.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+    if not folder.exists():
+        with contextlib.suppress(FileExistsError):  # of another robot's, at the same moment
+            folder.parent.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
+            make_folder(folder)
     with _alone(folder):
         clear(folder, config.robot.name)
         first_cause = incident.causes[0]
@@ -220,7 +223,8 @@ def main(given: int, answer: int) -> int:
     except (IncidentError, RecordingOffError, WriterDeadError) as error:
         written = Written(None, None, str(error))
     except OSError as error:
-        written = Written(None, None, f"{error.filename or ''}: {error.strerror}".removeprefix(": "))
+        known = error.filename and error.strerror
+        written = Written(None, None, f"{error.filename}: {error.strerror}" if known else str(error))
     if written.error is not None:
         logger.warning("not kept: %s", written.error)
     with contextlib.suppress(BrokenPipeError):  # the recorder may have ended before

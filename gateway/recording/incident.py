@@ -5,11 +5,13 @@ from collections.abc import Iterator, Sequence
 import msgspec
 
 from gateway.recording.packets import Record
-from gateway.types import BusEventKind, Level, RequestKind
+from gateway.types import BusEventKind, Level, Mode, RequestKind
 
 MOST_CAUSES = 50  # listed of one incident; more are counted
 DEGRADED = "mode_degraded"  # a motor is lost, and the robot drives on
 MODE = "mode_"
+WATCHED = frozenset({Mode.FAULT, Mode.DEGRADED, Mode.ESTOP})
+HIDDEN = "the recording has a gap where it came to this"
 # What a bus says of itself until it says something else; the other kinds are things that happen on it.
 _STATES = frozenset(set(BusEventKind) - {BusEventKind.TX_DROPPED, BusEventKind.RX_OVERFLOW, BusEventKind.RX_MALFORMED})
 
@@ -74,6 +76,13 @@ def causes(record: Record) -> Iterator[Cause]:
     ]
     for code, text in told:
         yield Cause(inputs.cycle, inputs.now_ns, record.timing.wall_ns, code, text)
+
+
+def hidden(record: Record, before: Mode) -> Iterator[Cause]:
+    """What a gap in front of this cycle has hidden; `before`: the mode in front of the gap."""
+    mode = record.outputs.mode
+    if mode is not before and mode in WATCHED:
+        yield Cause(record.inputs.cycle, record.inputs.now_ns, record.timing.wall_ns, f"{MODE}{mode.value}", HIDDEN)
 
 
 class Buses:

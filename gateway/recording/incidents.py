@@ -3,7 +3,7 @@
 How this works
 --------------
 A ring (`gateway.recording.ring`) holds the last seconds. A cause opens a window around itself; another one within it
-moves its end, but never beyond twice the time in front and the time behind: what goes on longer is the next incident.
+moves its end, by no more than the time that is kept in front: what goes on longer is the next incident.
 When a window ends, its part of the ring is given to a process of its own (`gateway.recording.bundle`) in a file in
 memory, which takes a copy and no waiting; one at a time, while the next windows wait in the ring. What comes of it is
 asked for, never waited for. At the end windows end where the drive does, and their processes outlive this one.
@@ -18,21 +18,23 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import msgspec
 
 from gateway.config import RobotConfig
-from gateway.recording.incident import MOST_CAUSES, Buses, BusState, Cause, Incident, causes
+from gateway.recording.incident import MOST_CAUSES, Buses, BusState, Cause, Incident, causes, hidden
 from gateway.recording.packets import Gap, Hello, IncidentReport, Packet, Record, Snapshot, encode
 from gateway.recording.ring import Ring
+from gateway.types import Mode
 
 logger = logging.getLogger(__name__)
 
 PROGRAM = ("-m", "gateway.recording.bundle")
 MOST_WINDOWS = 4  # open, or waiting for the process of the one before
-WRITING_LIMIT_S = 120.0  # for one; then its process is ended
+WRITING_LIMIT_S = 300.0  # for one, of which it needs seconds on a computer at ease; then its process is ended
 ENDED_SILENTLY = "the process that writes it ended without a word (exit code {})"
 
 
@@ -108,9 +110,13 @@ class WritingProcess:
     """Writes one incident, or says why not. Raises OSError when it cannot be started."""
 
     def __init__(self, order: bytes) -> None:
-        given = os.memfd_create("incident")
-        ours, theirs = os.pipe()
-        try:
+        with ExitStack() as opened:
+            given = os.memfd_create("incident")
+            opened.callback(os.close, given)
+            ours, theirs = os.pipe()
+            opened.callback(os.close, theirs)
+            lost = opened.enter_context(ExitStack())
+            lost.callback(os.close, ours)
             with os.fdopen(given, "wb", closefd=False) as file:
                 file.write(order)
             os.lseek(given, 0, os.SEEK_SET)
@@ -120,12 +126,7 @@ class WritingProcess:
                 stdout=subprocess.DEVNULL,
                 pass_fds=(given, theirs),
             )
-        except OSError:
-            os.close(ours)
-            raise
-        finally:
-            os.close(given)
-            os.close(theirs)
+            lost.pop_all()
         self._answer = ours
         self._deadline = time.monotonic() + WRITING_LIMIT_S
 
@@ -170,6 +171,8 @@ class Incidents:
         self._write = write
         self._process: WritingProcess | None = None
         self._now_ns = 0
+        self._mode: Mode | None = None  # of the last cycle; None: there was none
+        self._behind_gap = False
         self._kept = self._failed = 0
         self._file: str | None = None
         self._error: str | None = None
@@ -181,7 +184,7 @@ class Incidents:
             self._now_ns = packet.inputs.now_ns
             self._ring.cycle(raw, self._now_ns)
             self._buses.hear(packet)
-            for cause in causes(packet):
+            for cause in self._causes(packet):
                 self._hear(cause)
             if self._windows and self._now_ns >= self._windows[0].end_ns:
                 self._start()
@@ -189,6 +192,7 @@ class Incidents:
             self._ring.snapshot(raw)
         elif isinstance(packet, Gap):
             self._ring.gap(raw)
+            self._behind_gap = True
 
     def poll(self) -> bool:
         """Forget, and ask what became of what is being written; whether there is news. Never waits."""
@@ -212,6 +216,13 @@ class Incidents:
         self._process = None
         while self._windows:
             self._give(self._windows.popleft())
+
+    def _causes(self, record: Record) -> list[Cause]:
+        found = list(causes(record))
+        if self._behind_gap and self._mode is not None and not found:
+            found += hidden(record, self._mode)
+        self._behind_gap, self._mode = False, record.outputs.mode
+        return found
 
     def _hear(self, cause: Cause) -> None:
         last = self._windows[-1] if self._windows else None

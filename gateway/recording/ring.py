@@ -31,10 +31,11 @@ class _Piece(NamedTuple):
 
 
 class Ring:
-    """One writer; times are those of the cycles. `most`: bytes."""
+    """One writer; times are those of the cycles. `most`: bytes in all, `piece`: of packets compressed together."""
 
-    def __init__(self, most: int = RING_BYTES) -> None:
+    def __init__(self, most: int = RING_BYTES, piece: int = PIECE_BYTES) -> None:
         self._most = most
+        self._piece = piece
         self._pieces: deque[_Piece] = deque()
         self._bytes = 0
         self._open: list[bytes] = []
@@ -90,7 +91,7 @@ class Ring:
     def _keep(self, packet: bytes) -> None:
         self._open.append(packet)
         self._open_bytes += len(packet)
-        if self._open_bytes >= PIECE_BYTES:
+        if self._open_bytes >= self._piece:
             self._close()
 
     def _close(self) -> None:

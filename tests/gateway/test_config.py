@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import re
 import subprocess
 import sys
 import tomllib
@@ -234,6 +235,21 @@ def test_controllers_that_would_hear_each_other_are_refused(node: int, number: i
 def test_two_buses_on_one_channel_are_refused_by_name() -> None:
     message = problem_of(mixed(17, 1, second_bus="wheels", channel="can0"))
     assert "bus wheels: interface = 'socketcan', channel = 'can0': already the channel of bus can0" in message
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("pre = 0.5", "recording.incidents.pre = 0.5: Input should be greater than or equal to 1"),
+        ("pre = 121.0", "recording.incidents.pre = 121.0: Input should be less than or equal to 120"),
+        ("post = 61.0", "recording.incidents.post = 61.0: Input should be less than or equal to 60"),
+        ("budget = 1000", "recording.incidents.budget = 1000: Input should be greater than or equal to 1000000"),
+        ("after = 5.0", "recording.incidents.after = 5.0: unknown key"),
+    ],
+)
+def test_how_much_of_an_incident_may_be_kept(line: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        parse(f"{robot_text('moby')}\n[recording.incidents]\n{line}\n", "moby")
 
 
 def places(table: object, path: tuple[object, ...] = ()) -> list[tuple[object, ...]]:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.config import RobotConfig
+from gateway.core.health import FaultKind
 from gateway.recording import bundle
 from gateway.recording import incidents as incidents_module
 from gateway.recording.bundle import IncidentError, clear, kept
@@ -99,8 +100,8 @@ def test_modes_of_a_real_drive() -> None:
 # what is kept in memory
 
 STEPS = st.lists(
-    st.tuples(st.sampled_from(["cycle"] * 6 + ["snapshot", "gap"]), st.integers(1, 700), st.integers(0, PIECE_BYTES)),
-    min_size=1,
+    st.tuples(st.sampled_from(["cycle"] * 6 + ["snapshot", "gap"]), st.integers(1, 700), st.integers(0, 300)),
+    min_size=20,
     max_size=80,
 )
 
@@ -111,7 +112,7 @@ def test_what_is_needed_is_there_in_order_and_no_more(
     steps: list[tuple[str, int, int]], keep_ms: int, forget: int
 ) -> None:
     """Against a list of all: from the last snapshot that is old enough, or, where there is none, from the first."""
-    ring, now_ns = Ring(), 10**12
+    ring, now_ns = Ring(piece=500), 10**12
     told: list[tuple[int, Packet]] = []
     for number, (kind, way_ms, size) in enumerate(steps):
         if kind == "cycle" or not told:
@@ -242,6 +243,44 @@ def test_the_state_of_the_buses_is_that_of_the_cause() -> None:
     assert (bus.name, bus.state, bus.text, bus.cycle) == ("can0", "down", "network is down", 3)
 
 
+@pytest.mark.parametrize(("mode", "code"), [(Mode.ESTOP, "mode_estop"), (Mode.FAULT, "mode_fault"), (Mode.IDLE, None)])
+def test_what_a_gap_hides_is_seen_behind_it(mode: Mode, code: str | None) -> None:
+    given = Given()
+    found = collected(given)
+    feed(found, *[in_mode(number, Mode.DRIVE) for number in range(1, 50)])
+    gap = Gap(50, 60, "the recorder could not keep up")
+    found.take(gap, encode(gap))
+    feed(found, *[in_mode(number, mode) for number in range(61, 200)])
+    assert [order.incident.causes[0].code for order in given.orders] == ([] if code is None else [code])
+    found.take(gap, encode(gap))  # nothing is new behind the next one
+    feed(found, *[in_mode(number, mode) for number in range(210, 300)])
+    assert len(given.orders) == (code is not None)
+
+
+def in_mode(number: int, mode: Mode) -> Record:
+    plain = cycle(number)
+    return Record(plain.inputs, plain.outputs._replace(mode=mode), plain.timing)
+
+
+def test_every_code_can_stand_in_a_name(tmp_path: Path) -> None:
+    """What does not would be in nobody's budget."""
+    codes = [f"fault_{kind.value}" for kind in FaultKind] + [f"bus_{kind.value}" for kind in BusEventKind]
+    codes += [f"mode_{mode.value}" for mode in Mode] + ["mark", "balance_lost"]
+    for code in codes:
+        name = new_incident(tmp_path, "moby", STARTED_NS, Cause(1, 1, 1, code, "").name)
+        (tmp_path / f"{name}.rrd").touch()
+    assert len(incidents(tmp_path, "moby")) == len(codes)
+
+
+def test_a_process_that_cannot_be_started_leaves_nothing_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.executable", "/nowhere/python")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(3):
+        with pytest.raises(FileNotFoundError):
+            WritingProcess(b"order")
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
 def test_a_process_that_cannot_be_started_costs_the_incident_and_nothing_else() -> None:
     given = Given()
     given.error = OSError(11, "Resource temporarily unavailable")
@@ -288,6 +327,15 @@ def left(directory: Path) -> list[str]:
 
 
 def test_in_a_process_of_its_own(order: Order, tmp_path: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        in_a_process_of_its_own(order, tmp_path)
+    finally:
+        os.umask(before)
+
+
+def in_a_process_of_its_own(order: Order, tmp_path: Path) -> None:
+    """Its modes are as they should be, whatever the umask."""
     written = finished(WritingProcess(encode(into(order, tmp_path))))
     assert (written.verdict, written.error) == ("identical", None)
     path = Path(str(written.file))

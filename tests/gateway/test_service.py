@@ -21,6 +21,7 @@ from gateway.types import (
     CycleTiming,
     Event,
     Inputs,
+    Level,
     Mode,
     Odometry,
     Outputs,
@@ -417,6 +418,20 @@ def test_a_live_view_that_raises_is_told_and_driven_without(clock: FakeTime) -> 
     assert stand.code == 0
     assert stand.link.codes().count("view_lost") == 1
     assert stand.link.shown == stand.recorder.records[:600], "as recorded, and not again once it has failed"
+
+
+def test_what_the_recorder_has_kept_is_told(clock: FakeTime) -> None:
+    news = Event(Level.INFO, "incident", "incidents/moby-1.rrd")
+
+    def before(stand: Stand, cycle: int) -> None:
+        clock.now_ns += 1000
+        if cycle == 50:
+            stand.recorder.news = [news]
+        if cycle == 150:
+            stand.ending.ask("a test")
+
+    stand = Stand(before).run()
+    assert stand.link.events.count(news) == 1
 
 
 @pytest.mark.pure_python

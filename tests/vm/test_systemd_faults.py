@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from gateway.recording.disk import INCIDENTS
 from gateway.types import Mode
+from replay.compare.verify import verify
 from replay.sessions.reader import open_session
 from tests.vm.installed_robot import (
     CONFIG,
@@ -128,6 +130,27 @@ def test_driving_goes_on_when_the_disk_is_full_and_recording_when_it_is_not(runn
     # Not their number: the session may have given up its own first segments, with an older gap in them. Nor a cycle
     # from when the disk was found full: what is lost is the batch before that, and room may be back before the next.
     wait_for(lambda: any(gap.last_cycle >= before for gap in open_session(newest_session()).gaps), "the gap is in it")
+
+
+def test_an_emergency_stop_is_kept_by_a_process_in_the_sandbox(running: Commander) -> None:
+    drive(running)
+    pid, before = main_pid(), incidents(running)["kept"]
+    assert running.client.stop(30.0)
+    wait_for(lambda: incidents(running)["kept"] != before, "the incident is kept", timeout=200.0)
+    assert incidents(running)["error"] is None
+    path = Path(str(incidents(running)["file"]))
+    assert path.parent == SESSIONS / INCIDENTS
+    assert verify(open_session(path)).identical
+    assert main_pid() == pid
+    running.silence()
+    wait_for(lambda: running.client.reset(5.0).ok, "released")
+
+
+def incidents(commander: Commander) -> dict[str, object]:
+    """What the next state says of them."""
+    found = recording(commander)["incidents"]
+    assert isinstance(found, dict)
+    return found
 
 
 def test_a_wrong_robot_file_is_exit_78_and_no_restart() -> None:
