@@ -14,6 +14,7 @@ PACKAGES = ("drivers", "gateway", "replay")
 GROUND = (
     "gateway/arithmetic.py",
     "gateway/build.py",
+    "gateway/guess.py",
     "gateway/types.py",
     "gateway/sections.py",
     "gateway/__init__.py",

@@ -26,6 +26,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "send": "operate",
     "path": "path",
     "watch": "operate",
+    "events": "operate",
     "stop": "operate",
     "reference": "reference",
     "stand": "stand",

@@ -17,6 +17,11 @@ def complain(text: str) -> None:
     errors.print(text, style="red", markup=False, highlight=False)
 
 
+def note(text: str) -> None:
+    """What somebody should know who gets what was asked for, on standard error."""
+    errors.print(text, style="dim", markup=False, highlight=False)
+
+
 def print_json(document: Mapping[str, object]) -> None:
     """The last line of standard output of a command called with --json."""
     sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

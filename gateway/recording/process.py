@@ -140,10 +140,12 @@ def main(descriptor: int) -> int:
     hello = inbox.hello()
     if hello is None:
         return 0
+    config = RobotConfig.model_validate_json(hello.config_json)
     try:
-        writer = SessionWriter(RobotConfig.model_validate_json(hello.config_json), hello)
+        writer = SessionWriter(config, hello)
     except OSError as error:
-        return _refuse(inbox, str(error))
+        where = "" if hello.folder is not None else f"recording.directory = {config.recording.directory!r}: "
+        return _refuse(inbox, f"{where}{_words(error)}; give another directory, or recording.enabled = false")
     try:
         record(inbox, writer)
     except RecordingOffError as error:
@@ -153,6 +155,12 @@ def main(descriptor: int) -> int:
         logger.warning("the writing thread ended: %s", error)
         _leave(EXIT_WRITER_DEAD)  # at once: to return would drop the stream, and Rerun may wait for its thread then
     return 0
+
+
+def _words(error: OSError) -> str:
+    """What the system says, and of which file, without its number."""
+    named = "" if error.filename is None else f" ({error.filename})"
+    return f"{error.strerror or error}{named}"
 
 
 def _refuse(inbox: Inbox, text: str) -> int:

@@ -204,6 +204,26 @@ def test_disk() -> None:
     assert grades == [Grade.PROBLEM, Grade.PROBLEM, Grade.NOTE, Grade.OK]
 
 
+def test_a_directory_that_cannot_be() -> None:
+    found = doctor.disk("/a/b", free=None, min_free=1, budget=1, obstacle="/a is no directory")
+    assert found.grade is Grade.PROBLEM
+    assert found.text == "/a/b cannot be used: /a is no directory"
+    assert found.cure is not None
+    assert "recording.directory" in found.cure
+
+
+def test_where_sessions_cannot_go(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert command._room(tmp_path / "file" / "x", ours=False).obstacle == f"{tmp_path}/file is no directory"
+    words = command._room(Path("/proc/no/such"), ours=False).obstacle
+    assert words is not None
+    assert words.startswith("/proc is no file system that keeps files")
+    there = command._room(tmp_path / "new" / "one", ours=False)
+    assert there.obstacle is None
+    assert there.free is not None
+    assert there.free > 0
+
+
 @pytest.mark.parametrize(
     ("free", "answered", "active", "grade"),
     [
