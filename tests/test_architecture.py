@@ -30,6 +30,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/sensors": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"drivers", "ground"},
+    "gateway/words": set(),
     "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
@@ -88,7 +89,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 
 PURE = (
     *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
-    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
+    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths", "gateway/words"),
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.

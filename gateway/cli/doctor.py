@@ -18,6 +18,7 @@ import typer
 
 from gateway import robot_files
 from gateway.build import version
+from gateway.cli.explain import tell_code
 from gateway.cli.output import console, print_json
 from gateway.client import Client
 from gateway.config import Bus, RobotConfig, load
@@ -52,8 +53,15 @@ def doctor(
         str | None, typer.Argument(help="Robot file, or the name of an installed or bundled one.", show_default="all")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(metavar="CODE", help="Say what a fault, an event or a vendor's word means instead; or `all`."),
+    ] = None,
 ) -> None:
     """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, joints, service. Exit 1 on a problem."""
+    if explain is not None:
+        tell_code(explain, json=json)
+        return
     findings = [*_machine()]
     for path in _robot_files(file):
         findings += _robot(path)
