@@ -19,7 +19,7 @@ GROUND = (
     "gateway/sections.py",
     "gateway/__init__.py",
 )
-ROBOT_FILE = ("gateway/config.py", "gateway/robot_files.py")
+ROBOT_FILE = ("gateway/config.py", "gateway/file_keys.py", "gateway/robot_files.py")
 
 # Each room and what it may import besides the standard library and its own folder. "ground" is types and what robot
 # files are made of; "robot file" is config and robot_files; "entrance" is service and client; a folder without an entry
@@ -102,7 +102,13 @@ IMPURE_FILES = {
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
 RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
 PYDANTIC_FILES = {
-    *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
+    *(
+        "gateway/sections.py",
+        "gateway/config.py",
+        "gateway/file_keys.py",
+        "gateway/edges/messages.py",
+        "replay/drive/scenario_file.py",
+    ),
     "replay/inject/injection.py",
     "gateway/paths/path_file.py",
 }

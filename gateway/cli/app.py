@@ -21,6 +21,8 @@ EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 COMMANDS = {  # command: module of gateway.cli that has a function (or a group) of that name
     "run": "run",
     "check": "check",
+    "explain": "explain",
+    "format": "format",
     "doctor": "doctor",
     "drive": "drive",
     "send": "operate",

@@ -9,8 +9,8 @@ from rich.table import Table
 from gateway import robot_files
 from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
 from gateway.cli.polar import polar
-from gateway.config import ConfigError, load
-from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine
+from gateway.config import ConfigError, read
+from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine_text
 
 
 def check(
@@ -20,7 +20,7 @@ def check(
     """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with."""
     try:
         found = robot_files.locate(file)
-        report = examine(load(found.path)[0], str(found.path))
+        _, report = examine_text(read(found.path), str(found.path))
     except ConfigError as error:
         if json:
             print_json({"valid": False, "problems": list(error.problems)})

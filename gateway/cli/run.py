@@ -13,8 +13,8 @@ import typer
 
 from gateway import robot_files
 from gateway.client import Client
-from gateway.config import RobotConfig, load
-from gateway.core.examination import examine
+from gateway.config import RobotConfig, read
+from gateway.core.examination import examine_text
 from gateway.edges import log_queue, realtime
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.estop_latch import EstopFile, EstopLatch
@@ -77,8 +77,8 @@ def run(
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     found = robot_files.locate(file)
     path = found.path
-    config, text = load(path)
-    examine(config, str(path))
+    text = read(path)
+    config, _ = examine_text(text, str(path))
     logger.info("robot file: %s", found.words)
     if (unlike := robot_files.unlike(path, config.robot.name)) is not None:
         logger.warning("%s", unlike)

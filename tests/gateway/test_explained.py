@@ -191,4 +191,7 @@ def test_all_of_them_and_one_that_is_none() -> None:
     assert all(one.code in output for one in words.every())
     exit_code, output = explained("fault_stal")
     assert exit_code == 1
-    assert "'fault_stal' is no code of ours and no vendor's word; did you mean 'fault_stall'?" in output
+    assert (
+        "'fault_stal' is no code of ours and no vendor's word (`doctor --explain all`); did you mean 'fault_stall'?"
+        in output
+    )
