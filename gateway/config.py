@@ -19,6 +19,7 @@ from pydantic import (
 
 from gateway import file_keys
 from gateway.chassis import AnyRobot
+from gateway.errors import EXIT_CONFIG, UserError
 from gateway.guess import guess
 from gateway.sections import Form, Limit, Name, NonNegative, Positive, Rate, Section, Unit
 from gateway.types import PLANAR, Rates, SensorKind, Twist
@@ -56,8 +57,10 @@ Endpoint = Annotated[
 Option = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
 
-class ConfigError(ValueError):
+class ConfigError(UserError, ValueError):
     """A robot file that must not be driven with; each problem names file, key, value and the allowed range."""
+
+    exit_code = EXIT_CONFIG
 
     def __init__(self, origin: str, problems: Iterable[str]) -> None:
         self.origin = origin

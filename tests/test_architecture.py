@@ -14,6 +14,7 @@ PACKAGES = ("drivers", "gateway", "replay")
 GROUND = (
     "gateway/arithmetic.py",
     "gateway/build.py",
+    "gateway/errors.py",
     "gateway/guess.py",
     "gateway/types.py",
     "gateway/sections.py",

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 from rich.console import Console
 
-EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd must not restart into it
+import gateway.errors
+
+EXIT_CONFIG = gateway.errors.EXIT_CONFIG
 
 console = Console()
 errors = Console(stderr=True, soft_wrap=True)

@@ -18,6 +18,8 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.errors import UserError
+
 LEASE_MS = 2000  # a peer that freezes is dropped after this; Zenoh's default is 10 s
 RECONNECT_MS = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 MAX_PEERS = 32
@@ -44,7 +46,7 @@ _PARSERS = (  # of JSON5, twice, and of TOML, with the whole file in it
 _T = TypeVar("_T")
 
 
-class LinkError(RuntimeError):
+class LinkError(UserError):
     """The Zenoh session cannot be opened or has ended; says with which endpoints and why."""
 
 
