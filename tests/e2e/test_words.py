@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gateway.types import Mode
 from tests.e2e.robot_process import RobotProcess, in_mode
+from tests.world import ROBOTS
 
 README = Path(__file__).parent.parent.parent / "README.md"
 
@@ -87,3 +88,14 @@ def test_the_snippet_says_that_nobody_answers(free_port: int) -> None:
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=False)
     assert said.returncode == 1
     assert said.stderr.startswith("moby does not answer")
+
+
+def test_the_log_says_which_file_unless_it_is_to_be_still(tmp_path: Path, free_port: int) -> None:
+    with RobotProcess("moby", tmp_path, free_port) as robot:
+        assert robot.end() == 0
+        assert f"robot file: {ROBOTS / 'moby.toml'}" in robot.log.read_text()
+    still = tmp_path / "still"
+    still.mkdir()
+    with RobotProcess("moby", still, free_port, "--simulate", "--log-level", "error") as robot:
+        assert robot.end() == 0
+        assert "INFO" not in robot.log.read_text()

@@ -1,8 +1,10 @@
 """The command line itself: every command is there, and the daemon carries nothing it does not need."""
 
+import re
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 import typer
@@ -70,3 +72,9 @@ def test_an_unknown_command_is_an_error() -> None:
     result = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 2
     assert "fly" in result.stderr
+
+
+def test_the_readme_has_a_line_for_each_command_and_for_no_other() -> None:
+    readme = (Path(__file__).parent.parent.parent / "README.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"^\| `drivegate (\w+)", readme, re.MULTILINE))
+    assert told == set(COMMANDS)

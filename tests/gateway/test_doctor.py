@@ -350,6 +350,7 @@ def test_the_command_reports_a_missing_interface(tmp_path_factory: pytest.TempPa
     lines = {finding["subject"]: finding for finding in report["findings"]}
     assert lines["CAN absent0"]["text"] == "there is no such interface"
     assert lines["CAN absent0"]["cure"]
+    assert lines["robot file"]["text"] == f"{path}: moby"
     assert {"versions", "clock", "disk", "scheduling", "memory", "drivegate@moby.service"} <= set(lines)
     words = CliRunner().invoke(build("doctor"), ["doctor", str(path)])
     assert words.exit_code == 1
