@@ -55,7 +55,9 @@ def doctor(
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
     explain: Annotated[
         str | None,
-        typer.Option(metavar="CODE", help="Say what a fault, an event or a vendor's word means instead; or `all`."),
+        typer.Option(
+            metavar="CODE", help="Say what a fault, an event or a vendor's word means instead; `fault` or `all`: each."
+        ),
     ] = None,
 ) -> None:
     """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, joints, service. Exit 1 on a problem."""

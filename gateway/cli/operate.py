@@ -11,7 +11,7 @@ from rich.table import Table
 from gateway import robot_files
 from gateway.cli.output import complain, console, note, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
-from gateway.commander import REST_TIMEOUT_S, objection, rest, start, stream
+from gateway.commander import objection, rest, start, stream, unrested
 from gateway.config import ConfigError, load
 from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
 from gateway.types import ZERO_TWIST, Level, Mode, Pose, SensorStatus, SourceStatus, Status, Twist
@@ -134,7 +134,7 @@ def _send(
     state = client.state()
     limits = () if state is None else state.status.limits_active
     if not rest(client, source) and reason is None:
-        return f"did not come to rest within {REST_TIMEOUT_S:g} s", limits
+        return unrested(client), limits
     after = client.odometry()
     moved = before is None or after is None or before[1:4] != after[1:4]
     if reason is None and twist != ZERO_TWIST and seconds > 0.0 and not moved:

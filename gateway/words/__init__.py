@@ -52,8 +52,13 @@ def every() -> list[Explanation]:
 
 
 def explain(asked: str) -> list[Explanation]:
-    """The entries for a code as a person has it: in any case, with or without `fault_`; empty where there is none."""
+    """The entries for a code as a person has it, in any case, with or without `fault_`; or of a whole table.
+
+    Empty where there is none.
+    """
     wanted = asked.strip().lower()
+    if wanted in TABLES:
+        return [one for one in every() if one.table == wanted]
     if wanted.startswith(CLEARED):
         wanted = FAULT + wanted.removeprefix(CLEARED)
     return [one for one in every() if one.code.lower() in (wanted, FAULT + wanted)]

@@ -171,6 +171,7 @@ ASKED = [
     ("mode_idle", ["mode_idle (event)"]),
     ("drv_fault", ["DRV_FAULT (word of an ODrive"]),
     ("OVERSPEED", ["overspeed (reason of a driver", "OVERSPEED (word of an ODrive", "OVERSPEED (word of a VESC"]),
+    ("fault", ["fault_stall (fault", "fault_silent (fault", "fault_bus (fault"]),
     ("motor error flag", ["motor error flag (word of an ODrive"]),
 ]
 
