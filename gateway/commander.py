@@ -17,6 +17,7 @@ from gateway.client import Client
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.core.settings import SPEED_OVERRIDE
 from gateway.edges.messages import OdometryMessage, StateMessage
+from gateway.guess import guess
 from gateway.paths.drive import PathDrive, check, demands_of
 from gateway.paths.follower import Order
 from gateway.paths.path import Path
@@ -57,7 +58,7 @@ def objection(client: Client, source: str) -> str | None:
     status = state.status
     reasons = {one.name: one.reason for one in status.sources}
     if source not in reasons:
-        return f"no source {source}: the sources are {', '.join(reasons)}"
+        return f"no source {source}: the sources are {', '.join(reasons)}{guess(source, reasons)}"
     if status.mode not in DRIVING:
         return f"mode {status.mode.value}" + (f": {status.reason}" if status.reason else "")
     return None if status.winner == source else f"source {source}: {reasons[source]}"

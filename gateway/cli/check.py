@@ -23,7 +23,7 @@ def check(
         _, report = examine_text(read(found.path), str(found.path))
     except ConfigError as error:
         if json:
-            print_json({"valid": False, "problems": list(error.problems)})
+            print_json({"valid": False, "file": error.origin, "problems": list(error.problems)})
         else:
             complain(str(error))
         raise typer.Exit(EXIT_CONFIG) from None

@@ -220,6 +220,7 @@ def test_check_says_which_file_and_all_of_its_problems(tmp_path: Path) -> None:
     assert exit_code == 78
     told = json.loads(output)
     assert told["valid"] is False
+    assert told["file"] == str(wrong)
     assert len(told["problems"]) == 3
     exit_code, output = invoked("check", "moby")
     assert exit_code == 0

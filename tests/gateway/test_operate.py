@@ -115,6 +115,7 @@ def test_the_mode_of_a_robot_that_died_is_unknown() -> None:
         (_state(Mode.DRIVE), "teleop", None),
         (_state(Mode.DEGRADED), "teleop", None),
         (_state(Mode.DRIVE), "ghost", "no source ghost: the sources are teleop"),
+        (_state(Mode.DRIVE), "telop", "no source telop: the sources are teleop; did you mean 'teleop'?"),
         (_state(Mode.ESTOP, reason="needs a reset"), "teleop", "mode estop: needs a reset"),
         (_state(Mode.DRIVE, winner="joy"), "teleop", "source teleop: outranked by joy"),
         (None, "teleop", "no state received"),
