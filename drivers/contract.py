@@ -217,6 +217,7 @@ class DriverType(Protocol):
     """Makes the driver of one group: the value type of the registry `drivers.DRIVERS`."""
 
     variants: tuple[str, ...]
+    words: tuple[str, ...]  # of the vendor, which the text of a fault may have
 
     def __call__(self, bus: str, motors: Sequence[MotorSpec]) -> Driver:
         """Build the driver. Raises ValueError naming motor, key, value, allowed range and why."""

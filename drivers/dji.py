@@ -270,6 +270,7 @@ class DjiDriver:
     __slots__ = ("_bus", "_by_id", "_command_frames", "_motors", "_sent_ns", "_slots", "_zero_frames")
 
     variants: ClassVar[tuple[str, ...]] = tuple(MODES)
+    words: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         _check_numbers(motors)

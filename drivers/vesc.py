@@ -479,6 +479,7 @@ class VescDriver:
     __slots__ = ("_bus", "_by_id", "_coast_frames", "_motors", "_stop_frames", "_takes")
 
     variants: ClassVar[tuple[str, ...]] = ("vesc",)
+    words: ClassVar[tuple[str, ...]] = FAULTS
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="vesc", variants=self.variants, ids=IDS)

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from gateway.client import Client
-from gateway.commander import ANSWER_TIMEOUT_S, REST_TIMEOUT_S, objection, rest, start, stream
+from gateway.commander import ANSWER_TIMEOUT_S, objection, rest, start, stream, unrested
 from gateway.config import RobotConfig
 from gateway.control.launch import FRICTION, LEAST_FRICTION, LOOKS, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
@@ -212,7 +212,7 @@ class Driver:
         vx, vy = (launch.speed, 0.0) if launch.axis is Axis.X else (0.0, launch.speed)
         reason = stream(client, source, vx, vy, 0.0, seconds=launch.seconds)
         if not rest(client, source):
-            raise CalibrationError(f"did not come to rest within {REST_TIMEOUT_S:g} s")
+            raise CalibrationError(unrested(client))
         if reason is not None and _check(client.state()).mode not in RESTING:
             raise CalibrationError(reason)
         return reason is None

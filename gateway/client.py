@@ -243,6 +243,12 @@ class Client:
         """Waits for the gateway; False when it did not come."""
         return self._wait(lambda: self._alive, timeout)
 
+    def others_alive(self, timeout: float = 0.5) -> list[str]:
+        """Names of other robots that are heard here, whatever kind of name that is."""
+        replies = self._session.liveliness().get(keys.key("*", keys.ALIVE), timeout=timeout)
+        found = {str(reply.ok.key_expr).partition("/")[0] for reply in replies if reply.ok is not None}
+        return sorted(found - {self._robot})
+
     def wait_for_state(self, predicate: Callable[[StateMessage], bool], timeout: float) -> StateMessage | None:
         """The first received state that satisfies the predicate; None when none came in time."""
         found: list[StateMessage] = []

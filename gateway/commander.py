@@ -17,6 +17,7 @@ from gateway.client import Client
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.core.settings import SPEED_OVERRIDE
 from gateway.edges.messages import OdometryMessage, StateMessage
+from gateway.guess import guess
 from gateway.paths.drive import PathDrive, check, demands_of
 from gateway.paths.follower import Order
 from gateway.paths.path import Path
@@ -57,7 +58,7 @@ def objection(client: Client, source: str) -> str | None:
     status = state.status
     reasons = {one.name: one.reason for one in status.sources}
     if source not in reasons:
-        return f"no source {source}: the sources are {', '.join(reasons)}"
+        return f"no source {source}: the sources are {', '.join(reasons)}{guess(source, reasons)}"
     if status.mode not in DRIVING:
         return f"mode {status.mode.value}" + (f": {status.reason}" if status.reason else "")
     return None if status.winner == source else f"source {source}: {reasons[source]}"
@@ -67,7 +68,7 @@ def start(client: Client, source: str, timeout: float = START_TIMEOUT_S) -> bool
     """Zero commands until the robot drives; True when it does, False also as soon as it is clear that it will not."""
     deadline = time.monotonic() + timeout
     before = client.state()
-    while time.monotonic() < deadline:
+    while client.alive and time.monotonic() < deadline:
         client.send_twist(0.0, 0.0, 0.0, source=source)
         state = client.state()
         if state is not None and state is not before:
@@ -106,10 +107,10 @@ def stream(
 
 
 def rest(client: Client, source: str) -> bool:
-    """Zero commands until the robot stands; True when it does."""
+    """Zero commands until the robot stands; True when it does, False also as soon as it is gone."""
     deadline = time.monotonic() + REST_TIMEOUT_S
     sent = client.state()
-    while time.monotonic() < deadline:
+    while client.alive and time.monotonic() < deadline:
         client.send_twist(0.0, 0.0, 0.0, source=source)
         state = client.state()
         still = state is not None and state is not sent and state.status.standing
@@ -117,6 +118,13 @@ def rest(client: Client, source: str) -> bool:
             return True
         time.sleep(1.0 / COMMAND_RATE_HZ)
     return False
+
+
+def unrested(client: Client) -> str:
+    """Why `rest` ended without rest."""
+    if not client.alive:
+        return "the robot is gone: whether it came to rest is not known"
+    return f"did not come to rest within {REST_TIMEOUT_S:g} s"
 
 
 def config_of(client: Client) -> RobotConfig:
@@ -174,7 +182,7 @@ def _driven(client: Client, drive: PathDrive, source: str, watch: Callable[[Orde
     if objection(client, source) is not None:
         client.send_twist(*ZERO_TWIST, source=source)  # whoever drives it now, we ask for nothing
     elif not rest(client, source):
-        return reason or f"did not come to rest within {REST_TIMEOUT_S:g} s"
+        return reason or unrested(client)
     return reason
 
 

@@ -1,20 +1,35 @@
 """What every part of the robot file is made of: numbers with their ranges, names, and what all chassis have."""
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 NAME_PATTERN = r"^[a-z][a-z0-9_-]{0,31}$"  # also safe as one chunk of a Zenoh key
 
-Name = Annotated[str, Field(pattern=NAME_PATTERN, description="lower case, digits, _ and -, at most 32 characters")]
-Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
-Length = Annotated[float, Field(ge=1e-3, le=10.0)]
-Angle = Annotated[float, Field(ge=-6.3, le=6.3, description="rad")]
-Rate = Annotated[float, Field(ge=0.1, le=1000.0, description="Hz")]
-Limit = Annotated[float, Field(ge=1e-3, le=1e4, description="m or rad, per s, s^2 or s^3")]
+
+class Unit(NamedTuple):
+    """What a number of the robot file is counted in: goes into the `Annotated` of its key."""
+
+    name: str
+
+
+class Form(NamedTuple):
+    """What a text of the robot file has to be like, in words, for people who do not read regular expressions."""
+
+    words: str
+
+
+Name = Annotated[
+    str, Field(pattern=NAME_PATTERN), Form("lower case letters, digits, _ and -, a letter first, at most 32 of them")
+]
+Metres = Annotated[float, Field(ge=-10.0, le=10.0), Unit("m")]
+Length = Annotated[float, Field(ge=1e-3, le=10.0), Unit("m")]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3), Unit("rad")]
+Rate = Annotated[float, Field(ge=0.1, le=1000.0), Unit("Hz")]
+Limit = Annotated[float, Field(ge=1e-3, le=1e4)]
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0.0, le=1e6)]
-Height = Annotated[float, Field(gt=0.0, le=10.0, description="m above the floor")]
+Height = Annotated[float, Field(gt=0.0, le=10.0), Unit("m")]
 
 
 class Section(BaseModel):
@@ -26,11 +41,22 @@ class Section(BaseModel):
 class Body(Section):
     """Mass properties of the whole robot: for the simulated world, and to find a wheel that slips or a torque lost."""
 
-    mass: Annotated[float, Field(gt=0.1, le=5000.0, description="kg")]
-    inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2 about the vertical through the centre")]
-    joint_friction: NonNegative = 0.0  # N m s/rad at every driven joint
-    joint_drag: NonNegative = 0.0  # N m of dry friction and rolling resistance at every driven joint
-    joint_inertia: NonNegative = 0.0  # kg m^2 of every driven joint, rotor included, at the output
-    centre_height: Height | None = (
-        None  # of the centre of mass; unknown: acceleration shifts no load between the wheels
-    )
+    mass: Annotated[float, Field(gt=0.1, le=5000.0, description="of the whole robot"), Unit("kg")]
+    inertia: Annotated[
+        float, Field(gt=1e-4, le=5000.0, description="about the vertical through the centre"), Unit("kg m^2")
+    ]
+    joint_friction: Annotated[
+        NonNegative, Field(description="viscous friction of every driven joint, at the output"), Unit("N m s/rad")
+    ] = 0.0
+    joint_drag: Annotated[
+        NonNegative, Field(description="dry friction and rolling resistance of every driven joint"), Unit("N m")
+    ] = 0.0
+    joint_inertia: Annotated[
+        NonNegative, Field(description="of every driven joint, rotor included, at the output"), Unit("kg m^2")
+    ] = 0.0
+    centre_height: Annotated[
+        Height | None,
+        Field(
+            description="of the centre of mass above the floor; without it acceleration shifts no load between wheels"
+        ),
+    ] = None

@@ -14,11 +14,13 @@ PACKAGES = ("drivers", "gateway", "replay")
 GROUND = (
     "gateway/arithmetic.py",
     "gateway/build.py",
+    "gateway/errors.py",
+    "gateway/guess.py",
     "gateway/types.py",
     "gateway/sections.py",
     "gateway/__init__.py",
 )
-ROBOT_FILE = ("gateway/config.py", "gateway/robot_files.py")
+ROBOT_FILE = ("gateway/config.py", "gateway/file_keys.py", "gateway/robot_files.py")
 
 # Each room and what it may import besides the standard library and its own folder. "ground" is types and what robot
 # files are made of; "robot file" is config and robot_files; "entrance" is service and client; a folder without an entry
@@ -29,6 +31,7 @@ ROOMS: dict[str, set[str]] = {
     "drivers/sensors": {"drivers"},
     "ground": {"drivers"},
     "gateway/kinematics": {"drivers", "ground"},
+    "gateway/words": set(),
     "gateway/chassis": {"ground", "gateway/kinematics", "gateway/control"},
     "robot file": {"ground", "gateway/chassis"},
     "gateway/control": {"drivers", "ground", "gateway/kinematics"},
@@ -90,7 +93,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 
 PURE = (
     *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
-    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
+    *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths", "gateway/words"),
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
@@ -104,7 +107,13 @@ IMPURE_FILES = {
 IMPURE_ROOMS = ("gateway/edges", "gateway/recording", "entrance", COMPOSITION_ROOT)
 RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
 PYDANTIC_FILES = {
-    *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
+    *(
+        "gateway/sections.py",
+        "gateway/config.py",
+        "gateway/file_keys.py",
+        "gateway/edges/messages.py",
+        "replay/drive/scenario_file.py",
+    ),
     "replay/inject/injection.py",
     "gateway/paths/path_file.py",
 }

@@ -223,6 +223,18 @@ FIRMWARES: Final[dict[str, Firmware]] = {
 }
 
 
+def every_word() -> tuple[str, ...]:
+    """Of the vendor, in both firmware lines."""
+    tables = [table for line in FIRMWARES.values() for table in (line.errors, *_of_reasons(line))]
+    words = [bit.word for table in tables for bit in table.values()]
+    words += [result for line in FIRMWARES.values() for result in line.results.values()]
+    return tuple(dict.fromkeys(words))
+
+
+def _of_reasons(line: Firmware) -> list[Mapping[int, Bit]]:
+    return [reason.words for reason in line.reasons.values()]
+
+
 def error_words(bits: int, table: Mapping[int, Bit]) -> str:
     """Every set bit in the vendor's words; a bit the table lacks as a number."""
     words = [bit.word for mask, bit in table.items() if bits & mask]

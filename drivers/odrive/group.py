@@ -23,7 +23,7 @@ from drivers.contract import (
 from drivers.odrive import tables
 from drivers.odrive.axis import Axis, Step
 from drivers.odrive.bringup import advance
-from drivers.odrive.firmware import FIRMWARES
+from drivers.odrive.firmware import FIRMWARES, every_word
 from drivers.odrive.tables import AxisState, Control
 from drivers.records import maker
 from drivers.setpoint import CommandKind, MotorCommand
@@ -57,6 +57,7 @@ class OdriveDriver:
     __slots__ = ("_axes", "_bus", "_by_node", "_routes")
 
     variants: ClassVar[tuple[str, ...]] = tuple(FIRMWARES)
+    words: ClassVar[tuple[str, ...]] = every_word()
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="odrive", variants=self.variants, ids=NODES)

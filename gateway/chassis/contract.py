@@ -11,6 +11,12 @@ from gateway.kinematics.linear import Matrix
 from gateway.sections import Body
 from gateway.types import Rates
 
+# What the keys that every kind of chassis has are for.
+KIND: Final = "of chassis; the other keys of [robot] follow from it"
+NAME: Final = "of the robot: its Zenoh keys and sessions begin with it"
+BODY: Final = "mass properties of the whole robot"
+SATURATION: Final = "what is kept where wheels or floor cannot give all: translation, rotation, or both in proportion"
+
 Point = tuple[float, float]
 Numbers = tuple[float | None, ...]
 

@@ -6,7 +6,19 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from gateway.chassis.contract import ALIKE, ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
+from gateway.chassis.contract import (
+    ALIKE,
+    BODY,
+    KIND,
+    NAME,
+    SATURATION,
+    ChassisChannels,
+    Drawing,
+    DrawnWheel,
+    LawParts,
+    LoopLimit,
+    Sideways,
+)
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import SpeedLaw
 from gateway.kinematics.fixed_wheels import FixedWheels
@@ -19,11 +31,13 @@ from gateway.types import PLANAR, Rates
 class MecanumPose(Section):
     """Contact point of one wheel, axis of the roller that touches the floor (from forward), rolling radius."""
 
-    motor: Name
-    x: Metres
-    y: Metres
-    roller_angle: Angle
-    radius: Length
+    motor: Annotated[Name, Field(description="name of its [[motor]]")]
+    x: Annotated[Metres, Field(description="of its point on the floor, forward of the middle")]
+    y: Annotated[Metres, Field(description="of its point on the floor, to the left of the middle")]
+    roller_angle: Annotated[
+        Angle, Field(description="of the axis of the roller that touches the floor, counter-clockwise from forward")
+    ]
+    radius: Annotated[Length, Field(description="from the axle to the floor")]
 
 
 class MecanumRobot(Section):
@@ -33,11 +47,11 @@ class MecanumRobot(Section):
     AXES: ClassVar[tuple[str, ...]] = PLANAR
     SIDEWAYS: ClassVar[Sideways] = ALIKE
 
-    kind: Literal["mecanum"]
-    name: Name
-    body: Body
-    wheel: Annotated[list[MecanumPose], Field(min_length=3, max_length=16)]
-    saturation: Saturation = Saturation.BOTH
+    kind: Annotated[Literal["mecanum"], Field(description=KIND)]
+    name: Annotated[Name, Field(description=NAME)]
+    body: Annotated[Body, Field(description=BODY)]
+    wheel: Annotated[list[MecanumPose], Field(min_length=3, max_length=16, description="one for each wheel")]
+    saturation: Annotated[Saturation, Field(description=SATURATION)] = Saturation.BOTH
 
     def motor_names(self) -> tuple[str, ...]:
         """Motors of the chassis in wheel order."""

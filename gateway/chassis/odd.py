@@ -5,7 +5,17 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.chassis.contract import ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
+from gateway.chassis.contract import (
+    BODY,
+    KIND,
+    NAME,
+    ChassisChannels,
+    Drawing,
+    DrawnWheel,
+    LawParts,
+    LoopLimit,
+    Sideways,
+)
 from gateway.control.balance import BalancingLaw
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
@@ -15,7 +25,7 @@ from gateway.control.posture import Posture
 from gateway.control.steering import Steering, SteeringGains
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.odd import AXES, WHEELS, OddGeometry, OddKinematics
-from gateway.sections import Angle, Body, Length, Name, Section
+from gateway.sections import Angle, Body, Length, Name, Section, Unit
 from gateway.types import Rates
 
 # Wheels in line push beside each other along the line and behind one another across it, where what they do not share
@@ -31,16 +41,24 @@ class Balance(Section):
     is known of the pitch is old; both at worst.
     """
 
-    height: Annotated[float, Field(ge=0.01, le=5.0, description="m, of the centre of mass above the axle")]
-    pitch_inertia: Annotated[float, Field(gt=0.0, le=1000.0, description="kg m^2 about the centre of mass")]
-    pitch: Annotated[float, Field(gt=0.0, le=100.0, description="m/s per rad")]
-    pitch_rate: Annotated[float, Field(gt=0.0, le=100.0, description="m per rad")]
-    velocity: Annotated[float, Field(ge=0.0, le=100.0, description="1")]
-    position: Annotated[float, Field(ge=0.0, le=100.0, description="1/s")]
-    catch: Annotated[float, Field(ge=0.02, le=0.5, description="rad, from which it stands up")] = 0.12
-    fall: Annotated[float, Field(ge=0.1, le=1.2, description="rad, beyond which it lets go")] = 0.6
-    lag: Annotated[float, Field(ge=0.001, le=0.2, description="s")] = 0.02
-    delay: Annotated[float, Field(ge=0.0, le=0.2, description="s")] = 0.01
+    height: Annotated[float, Field(ge=0.01, le=5.0, description="of the centre of mass above the axle"), Unit("m")]
+    pitch_inertia: Annotated[
+        float, Field(gt=0.0, le=1000.0, description="of the body about its centre of mass"), Unit("kg m^2")
+    ]
+    pitch: Annotated[float, Field(gt=0.0, le=100.0, description="gain of the pitch"), Unit("m/s per rad")]
+    pitch_rate: Annotated[float, Field(gt=0.0, le=100.0, description="gain of the pitch rate"), Unit("m per rad")]
+    velocity: Annotated[float, Field(ge=0.0, le=100.0, description="gain of the speed, fed back positively")]
+    position: Annotated[
+        float, Field(ge=0.0, le=100.0, description="gain of the place, fed back positively"), Unit("1/s")
+    ]
+    catch: Annotated[float, Field(ge=0.02, le=0.5, description="lean from which it stands up at most"), Unit("rad")] = (
+        0.12
+    )
+    fall: Annotated[float, Field(ge=0.1, le=1.2, description="lean beyond which it lets go"), Unit("rad")] = 0.6
+    lag: Annotated[float, Field(ge=0.001, le=0.2, description="by which the wheels follow, at worst"), Unit("s")] = 0.02
+    delay: Annotated[
+        float, Field(ge=0.0, le=0.2, description="by which what is known of the pitch is old, at worst"), Unit("s")
+    ] = 0.01
 
     def gains(self) -> BalanceGains:
         """For the law."""
@@ -50,9 +68,9 @@ class Balance(Section):
 class SteeringConfig(Section):
     """PD of the yaw, by the yaw rate of an IMU (`gateway.control.steering`). `lag`: by which it follows at worst."""
 
-    yaw: Annotated[float, Field(gt=0.0, le=100.0, description="1/s")]
-    yaw_rate: Annotated[float, Field(ge=0.0, le=10.0, description="1")] = 0.0
-    lag: Annotated[float, Field(ge=0.001, le=1.0, description="s")] = 0.05
+    yaw: Annotated[float, Field(gt=0.0, le=100.0, description="gain of the turn that is missing"), Unit("1/s")]
+    yaw_rate: Annotated[float, Field(ge=0.0, le=10.0, description="gain of the turning speed that is missing")] = 0.0
+    lag: Annotated[float, Field(ge=0.001, le=1.0, description="by which the turn follows, at worst"), Unit("s")] = 0.05
 
     @model_validator(mode="after")
     def _does_not_swing(self) -> Self:
@@ -78,20 +96,28 @@ class OddRobot(Section):
     SIDEWAYS: ClassVar[Sideways] = SIDEWAYS
     saturation: ClassVar[Saturation] = Saturation.BOTH  # what yields is said otherwise
 
-    kind: Literal["odd"]
-    name: Name
-    body: Body
-    radius: Length
-    spacing: Length
-    narrowest: Length
-    widest: Length
-    width: Length
-    roller_angles: tuple[Angle, Angle, Angle, Angle]
-    wheels: tuple[Name, Name, Name, Name]
-    yields: Yields = Yields.ALL
-    width_sensor: Literal[0, 1, 2, 3] | None = None
-    steering: SteeringConfig | None = None
-    balance: Balance | None = None
+    kind: Annotated[Literal["odd"], Field(description=KIND)]
+    name: Annotated[Name, Field(description=NAME)]
+    body: Annotated[Body, Field(description=BODY)]
+    radius: Annotated[Length, Field(description="of the wheels, from the axle to the floor")]
+    spacing: Annotated[Length, Field(description="between the two wheels of a pair")]
+    narrowest: Annotated[Length, Field(description="least distance of the two pairs that is driven to")]
+    widest: Annotated[Length, Field(description="largest distance of the two pairs that is driven to")]
+    width: Annotated[Length, Field(description="distance of the two pairs at the start, where no sensor tells it")]
+    roller_angles: Annotated[
+        tuple[Angle, Angle, Angle, Angle],
+        Field(description="of each wheel, left to right: the axis of the roller on the floor, from forward"),
+    ]
+    wheels: Annotated[tuple[Name, Name, Name, Name], Field(description="names of their motors, from left to right")]
+    yields: Annotated[Yields, Field(description="what gives way where the wheels cannot turn for all of a command")] = (
+        Yields.ALL
+    )
+    width_sensor: Annotated[
+        Literal[0, 1, 2, 3] | None,
+        Field(description="which [[sensor]] of kind range, from 0, tells the width; left out: the wheels alone do"),
+    ] = None
+    steering: Annotated[SteeringConfig | None, Field(description="makes up for turn that an IMU sees missing")] = None
+    balance: Annotated[Balance | None, Field(description="for a robot that stands on its wheels alone")] = None
 
     @model_validator(mode="after")
     def _stays_upright(self) -> Self:

@@ -10,6 +10,9 @@ from pydantic import Field, model_validator
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import (
     ALIKE,
+    BODY,
+    KIND,
+    NAME,
     ChassisChannels,
     Drawing,
     DrawnWheel,
@@ -29,7 +32,7 @@ from gateway.control.region_policy import RegionPolicy
 from gateway.control.wheel_acceleration import FlipLimit
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.offset_differential import PLATFORM, CasterGeometry, OffsetDifferentialKinematics
-from gateway.sections import Body, Length, Name, Section
+from gateway.sections import Body, Length, Name, Section, Unit
 from gateway.types import PLANAR, Rates
 
 _MIRROR: Final = 2.0  # gain of the mirror image (preprints202312.1327, Eq. 23)
@@ -40,9 +43,9 @@ _SHARE: Final = 0.5  # of what the motors can change, that correcting may use
 class Caster(Section):
     """The passive caster: trail d3, joint distance d4 ahead of the pivot, wheel radius Rc."""
 
-    trail: Length
-    position: Length
-    radius: Length
+    trail: Annotated[Length, Field(description="of its wheel behind its pivot")]
+    position: Annotated[Length, Field(description="of its pivot ahead of the platform joint")]
+    radius: Annotated[Length, Field(description="of its wheel")]
 
     def geometry(self) -> CasterGeometry:
         """The same for the kinematics."""
@@ -52,8 +55,8 @@ class Caster(Section):
 class RegionPoint(Section):
     """Largest error that is corrected at this speed."""
 
-    speed: Annotated[float, Field(ge=0.0, le=20.0, description="m/s")]
-    region: Annotated[float, Field(gt=0.0, le=WHOLE_CIRCLE, description="rad")]
+    speed: Annotated[float, Field(ge=0.0, le=20.0, description="from which on it is that"), Unit("m/s")]
+    region: Annotated[float, Field(gt=0.0, le=WHOLE_CIRCLE, description="largest error that is corrected"), Unit("rad")]
 
 
 class CompensationConfig(Section):
@@ -62,8 +65,11 @@ class CompensationConfig(Section):
     k = 2 lets an error die out as it would in the push region; 1 freezes it, less lets the chassis flip.
     """
 
-    gain: Annotated[float, Field(ge=0.0, le=4.0)] = _MIRROR
-    region: Annotated[list[RegionPoint], Field(min_length=1, max_length=32)]
+    gain: Annotated[float, Field(ge=0.0, le=4.0, description="k; 2 lets an error die out as when pushed")] = _MIRROR
+    region: Annotated[
+        list[RegionPoint],
+        Field(min_length=1, max_length=32, description="largest error that is corrected: one angle, or by speed"),
+    ]
 
     @model_validator(mode="before")
     @classmethod
@@ -96,8 +102,10 @@ class ManoeuvreConfig(Section):
     `arc`: the joint ends beside its place, `closed`: in it. `max_footprint`: m by which it may leave it on the way.
     """
 
-    form: Literal["arc", "closed"]
-    max_footprint: Annotated[float, Field(gt=0.0, le=20.0, description="m")]
+    form: Annotated[Literal["arc", "closed"], Field(description="arc: the joint ends beside its place; closed: in it")]
+    max_footprint: Annotated[
+        float, Field(gt=0.0, le=20.0, description="by which the joint may leave its place on the way"), Unit("m")
+    ]
 
 
 class OffsetDifferentialRobot(Section):
@@ -108,19 +116,27 @@ class OffsetDifferentialRobot(Section):
     SIDEWAYS: ClassVar[Sideways] = ALIKE
     saturation: ClassVar[Saturation] = Saturation.BOTH  # its wheels turn and drive it at once: nothing to choose
 
-    kind: Literal["offset_differential"]
-    name: Name
-    body: Body
-    chassis_inertia: Annotated[float, Field(gt=1e-4, le=5000.0, description="kg m^2, the chassis below the joint")]
-    wheel_radius: Length
-    axle_offset: Length  # d1 of the paper
-    track: Length  # d2
-    left: Name
-    right: Name
-    platform: Name
-    caster: Caster | None = None
-    compensation: CompensationConfig | None = None
-    manoeuvre: ManoeuvreConfig | None = None
+    kind: Annotated[Literal["offset_differential"], Field(description=KIND)]
+    name: Annotated[Name, Field(description=NAME)]
+    body: Annotated[Body, Field(description=BODY)]
+    chassis_inertia: Annotated[
+        float,
+        Field(gt=1e-4, le=5000.0, description="of the chassis below the joint, about its own vertical"),
+        Unit("kg m^2"),
+    ]
+    wheel_radius: Annotated[Length, Field(description="of the driven wheels")]
+    axle_offset: Annotated[Length, Field(description="of the axle behind the platform joint (d1 of the paper)")]
+    track: Annotated[Length, Field(description="between the driven wheels (d2)")]
+    left: Annotated[Name, Field(description="motor of the left wheel")]
+    right: Annotated[Name, Field(description="motor of the right wheel")]
+    platform: Annotated[Name, Field(description="motor of the platform joint")]
+    caster: Annotated[Caster | None, Field(description="the passive caster, for the simulated world")] = None
+    compensation: Annotated[
+        CompensationConfig | None, Field(description="keeps a pulled chassis pulled; without it, it flips")
+    ] = None
+    manoeuvre: Annotated[
+        ManoeuvreConfig | None, Field(description="lets commands ask for a region; without it none may")
+    ] = None
 
     def motor_names(self) -> tuple[str, ...]:
         """Left wheel, right wheel, platform joint."""

@@ -14,7 +14,19 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from gateway.arithmetic import sin_cos
-from gateway.chassis.contract import ALIKE, ChassisChannels, Drawing, DrawnWheel, LawParts, LoopLimit, Sideways
+from gateway.chassis.contract import (
+    ALIKE,
+    BODY,
+    KIND,
+    NAME,
+    SATURATION,
+    ChassisChannels,
+    Drawing,
+    DrawnWheel,
+    LawParts,
+    LoopLimit,
+    Sideways,
+)
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.grip import Grip, Push
@@ -22,7 +34,7 @@ from gateway.control.launch import LEAST_FRICTION, MOST_FRICTION, LaunchLaw
 from gateway.control.launch_slip import Losses
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix, diagonal
-from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section
+from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section, Unit
 from gateway.types import PLANAR, Rates
 
 
@@ -51,19 +63,31 @@ class OmniWheel(Section):
     `roller_mass`: of the roller that touches the floor, kg; used by the simulated world alone, which guesses otherwise.
     """
 
-    motor: Name
-    x: Metres
-    y: Metres
-    axis_angle: Angle
-    radius: Length
-    roller_mass: Positive | None = None
+    motor: Annotated[Name, Field(description="name of its [[motor]]")]
+    x: Annotated[Metres, Field(description="of its point on the floor, forward of the middle")]
+    y: Annotated[Metres, Field(description="of its point on the floor, to the left of the middle")]
+    axis_angle: Annotated[
+        Angle,
+        Field(
+            description="of its axle, pointing outward, counter-clockwise from forward; a wheel that turns positively "
+            "drives to the left of it, as seen from above"
+        ),
+    ]
+    radius: Annotated[Length, Field(description="from the axle to the floor")]
+    roller_mass: Annotated[
+        Positive | None,
+        Field(description="of the roller that touches the floor; for the simulated world alone, which guesses else"),
+        Unit("kg"),
+    ] = None
 
 
 class GripConfig(Section):
     """What the floor gives a wheel: a launch accelerates as hard as that lets it, and no harder."""
 
     friction: Annotated[
-        float, Field(ge=LEAST_FRICTION, le=MOST_FRICTION, description="of the rollers on the floor, times the load")
+        float,
+        Field(ge=LEAST_FRICTION, le=MOST_FRICTION, description="of the rollers on the floor"),
+        Unit("of the load"),
     ]
 
 
@@ -74,12 +98,14 @@ class OmniRobot(Section):
     AXES: ClassVar[tuple[str, ...]] = PLANAR
     SIDEWAYS: ClassVar[Sideways] = ALIKE
 
-    kind: Literal["omni"]
-    name: Name
-    body: Body
-    wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16)]
-    saturation: Saturation = Saturation.BOTH
-    grip: GripConfig | None = None
+    kind: Annotated[Literal["omni"], Field(description=KIND)]
+    name: Annotated[Name, Field(description=NAME)]
+    body: Annotated[Body, Field(description=BODY)]
+    wheel: Annotated[list[OmniWheel], Field(min_length=3, max_length=16, description="one for each wheel")]
+    saturation: Annotated[Saturation, Field(description=SATURATION)] = Saturation.BOTH
+    grip: Annotated[GripConfig | None, Field(description="launches by what the floor gives; else they are ramps")] = (
+        None
+    )
 
     def motor_names(self) -> tuple[str, ...]:
         """Motors of the chassis in wheel order."""

@@ -1,31 +1,32 @@
 """All commands in one table; each lives in the module named after what it is about.
 
 Only the module of the command that is called is imported: the daemon must not carry what the others need (Rerun
-alone would cost it 80 MB and half a second), and a stop should not wait for imports either.
+alone would cost it 80 MB and half a second), and a stop should not wait for imports either. For the list of all of them
+none is: what they say of themselves is read from their source.
 """
 
+import ast
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gateway.build import version
-from gateway.cli.output import EXIT_CONFIG, complain, console
-from gateway.config import ConfigError
-from gateway.edges.claims import InUseError
-from gateway.edges.zenoh_session import LinkError
-from gateway.recording.recorder import RecorderError
+from gateway.cli.output import complain, console
+from gateway.errors import UserError
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 COMMANDS = {  # command: module of gateway.cli that has a function (or a group) of that name
     "run": "run",
     "check": "check",
+    "explain": "explain",
+    "format": "format",
     "doctor": "doctor",
     "drive": "drive",
     "send": "operate",
     "path": "path",
     "watch": "operate",
+    "events": "operate",
     "stop": "operate",
     "reference": "reference",
     "stand": "stand",
@@ -42,12 +43,14 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
 
 def _show_version(asked: bool) -> None:
     if asked:
+        from gateway.build import version  # noqa: PLC0415  # reads what is installed, which takes its time
+
         console.print(f"drivegate {version()}", highlight=False)
         raise typer.Exit
 
 
 def build(called: str | None) -> typer.Typer:
-    """The command line with the command that is called; with all of them when that is none or unknown."""
+    """The command line with the command that is called; where that is none, or unknown, with a list of all of them."""
     app = typer.Typer(
         name="drivegate",
         help="From a velocity command over Zenoh to CAN motor controllers, recorded and replayable.",
@@ -57,13 +60,39 @@ def build(called: str | None) -> typer.Typer:
         rich_markup_mode="markdown",  # joins the lines of a docstring
     )
     app.callback()(_options)  # also keeps the command's name in use even when it is the only one
-    for name in [called] if called in COMMANDS else COMMANDS:
-        command = getattr(import_module(f"gateway.cli.{COMMANDS[name]}"), name)
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
-        else:
-            app.command(name)(command)
+    if called not in COMMANDS:
+        for name in COMMANDS:
+            app.command(name, help=said_of(name))(_listed)
+        return app
+    command = getattr(import_module(f"gateway.cli.{COMMANDS[called]}"), called)
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name=called)
+    else:
+        app.command(called)(command)
     return app
+
+
+def said_of(name: str) -> str:
+    """The docstring of a command, or the `help` of a group, without importing what it needs."""
+    source = Path(__file__).with_name(f"{COMMANDS[name]}.py").read_text(encoding="utf-8")
+    for node in ast.parse(source).body:
+        match node:
+            case ast.FunctionDef(name=found) if found == name:
+                return ast.get_docstring(node) or ""
+            case ast.Assign(targets=[ast.Name(id=found)], value=ast.Call(keywords=given)) if found == name:
+                return next(
+                    (
+                        str(one.value.value)
+                        for one in given
+                        if isinstance(one.value, ast.Constant) and one.arg == "help"
+                    ),
+                    "",
+                )
+    raise LookupError(name)
+
+
+def _listed() -> None:
+    """Stands for a command where all of them are listed."""
 
 
 def _options(
@@ -78,10 +107,7 @@ def _options(
 def main() -> None:
     """Entry point of the console script: errors of the user's making are words, not tracebacks."""
     try:
-        build(sys.argv[1] if len(sys.argv) > 1 else None)()
-    except ConfigError as error:
+        build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))()
+    except UserError as error:
         complain(str(error))
-        sys.exit(EXIT_CONFIG)
-    except (LinkError, InUseError, RecorderError) as error:
-        complain(str(error))
-        sys.exit(EXIT_UNAVAILABLE)
+        sys.exit(error.exit_code)

@@ -9,27 +9,31 @@ from rich.table import Table
 from gateway import robot_files
 from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
 from gateway.cli.polar import polar
-from gateway.config import ConfigError, load
-from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine
+from gateway.config import ConfigError, read
+from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine_text
 
 
 def check(
-    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
 ) -> None:
     """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with."""
     try:
-        path = robot_files.find(file)
-        report = examine(load(path)[0], str(path))
+        found = robot_files.locate(file)
+        _, report = examine_text(read(found.path), str(found.path))
     except ConfigError as error:
         if json:
-            print_json({"valid": False, "problems": list(error.problems)})
+            print_json({"valid": False, "file": error.origin, "problems": list(error.problems)})
         else:
             complain(str(error))
         raise typer.Exit(EXIT_CONFIG) from None
+    unlike = robot_files.unlike(found.path, report.robot)
+    report = report._replace(warnings=(*report.warnings, *([] if unlike is None else [unlike])))
     if json:
-        print_json(_document(report))
+        print_json({"file": str(found.path), "place": found.place.value} | _document(report))
     else:
+        if found.place is not robot_files.Place.GIVEN:
+            console.print(f"robot file {found.words}", markup=False, highlight=False, soft_wrap=True)
         _show(report)
 
 

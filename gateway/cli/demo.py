@@ -65,7 +65,7 @@ def demo(
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
     """Drive a simulated robot over Zenoh, record it, verify the recording, and show it."""
-    path = robot_files.find(robot)
+    path = robot_files.find_bundled(robot)
     config, _ = load(path)
     chosen_plant(config, plant, str(path))  # refused here, in the user's sight, and not by the service
     out.mkdir(parents=True, exist_ok=True)

@@ -18,6 +18,7 @@ import typer
 
 from gateway import robot_files
 from gateway.build import version
+from gateway.cli.explain import tell_code
 from gateway.cli.output import console, print_json
 from gateway.client import Client
 from gateway.config import Bus, RobotConfig, load
@@ -29,7 +30,6 @@ from gateway.edges.messages import StateMessage
 from gateway.edges.zenoh_session import LinkError
 from gateway.types import Status
 
-INSTALLED = Path("/etc/drivegate")
 SESSIONS = Path("/var/lib/drivegate")
 ANSWER_S = 3.0
 SLEEPS = 50
@@ -53,8 +53,17 @@ def doctor(
         str | None, typer.Argument(help="Robot file, or the name of an installed or bundled one.", show_default="all")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CODE", help="Say what a fault, an event or a vendor's word means instead; `fault` or `all`: each."
+        ),
+    ] = None,
 ) -> None:
     """Check this machine for a robot: CAN, real time, clock, disk, Zenoh, joints, service. Exit 1 on a problem."""
+    if explain is not None:
+        tell_code(explain, json=json)
+        return
     findings = [*_machine()]
     for path in _robot_files(file):
         findings += _robot(path)
@@ -68,10 +77,7 @@ def doctor(
 
 def _robot_files(file: str | None) -> list[Path]:
     """The one asked for, the installed one first; or every installed one."""
-    if file is None:
-        return sorted(INSTALLED.glob("*.toml"))
-    installed = INSTALLED / f"{file}.toml"
-    return [installed if installed.exists() else robot_files.find(file)]
+    return list(robot_files.installed().values()) if file is None else [robot_files.find(file)]
 
 
 def _show(findings: list[Finding]) -> None:
@@ -96,6 +102,8 @@ def _machine() -> Iterator[Finding]:
 def _robot(path: Path) -> Iterator[Finding]:
     """Raises ConfigError."""
     config, _ = load(path)
+    ours = path.parent == robot_files.INSTALLED
+    yield Finding("robot file", Grade.OK, f"{path}{' (installed)' if ours else ''}: {config.robot.name}")
     name = f"drivegate@{path.stem}.service"
     unit = _unit(name)
     active = unit is not None and unit.active == "active"
@@ -103,10 +111,17 @@ def _robot(path: Path) -> Iterator[Finding]:
         if bus.interface == "socketcan":
             yield from judge.interface(bus, _link(bus))
     yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
-    directory = SESSIONS / path.stem if path.parent == INSTALLED else Path(config.recording.directory)
+    directory = SESSIONS / path.stem if ours else Path(config.recording.directory)
     if config.recording.enabled or config.recording.incidents.enabled:
         limits = config.recording
-        yield judge.disk(str(directory), free=_free(directory), min_free=limits.min_free, budget=limits.disk_budget)
+        room = _room(directory, ours=ours)
+        yield judge.disk(
+            str(directory),
+            free=room.free,
+            min_free=limits.min_free,
+            budget=limits.disk_budget,
+            obstacle=room.obstacle,
+        )
     answers = {text: _ask(config.robot.name, text) for text in config.zenoh.listen}
     yield from _endpoints(config, answers, active=active)
     states = [answer.state.status for answer in answers.values() if answer and answer.state]
@@ -195,13 +210,27 @@ def _may_run_real_time() -> bool:
     return True
 
 
-def _free(directory: Path) -> int | None:
-    """Room on the file system where the directory is or will be."""
-    existing = next((path for path in (directory, *directory.absolute().parents) if path.exists()), None)
+class Room(NamedTuple):
+    """Of the file system where a directory is or will be: bytes free, or why there will be no directory."""
+
+    free: int | None
+    obstacle: str | None = None
+
+
+def _room(directory: Path, *, ours: bool) -> Room:
+    """`ours`: the service manager makes it for the service's own user, who may more than this one."""
     try:
-        return None if existing is None else shutil.disk_usage(existing).free
+        existing = next(path for path in (directory.absolute(), *directory.absolute().parents) if path.exists())
+        usage = shutil.disk_usage(existing)
     except OSError:
-        return None
+        return Room(None)
+    if not existing.is_dir():
+        return Room(None, f"{existing} is no directory")
+    if usage.total == 0:
+        return Room(None, f"{existing} is no file system that keeps files")
+    if not ours and not os.access(existing, os.W_OK | os.X_OK):
+        return Room(None, f"this user may not write into {existing}")
+    return Room(usage.free)
 
 
 def _joints(config: RobotConfig, status: Status | None) -> Iterator[Finding]:

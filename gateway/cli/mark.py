@@ -26,4 +26,4 @@ def mark(
         raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect) as client:
         answer = client.mark(text)
-    tell(answer, json=json)
+    tell(answer, json=json, done="marked: it is in the recording, and the seconds around it are kept as an incident")

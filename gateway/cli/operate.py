@@ -1,19 +1,20 @@
-"""Commands that talk to a running robot: send, watch, stop."""
+"""Commands that talk to a running robot: send, watch, events, stop."""
 
 import time
-from typing import Annotated
+from collections.abc import Iterator, Sequence
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.live import Live
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.cli.output import complain, console, print_json
+from gateway.cli.output import complain, console, note, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
-from gateway.commander import REST_TIMEOUT_S, objection, rest, start, stream
+from gateway.commander import objection, rest, start, stream, unrested
 from gateway.config import ConfigError, load
 from gateway.edges.messages import EventMessage, ResetAnswer, StateMessage, encode_twist, state_document
-from gateway.types import ZERO_TWIST, Pose, SensorStatus, Twist
+from gateway.types import ZERO_TWIST, Level, Mode, Pose, SensorStatus, SourceStatus, Status, Twist
 
 EXIT_NO_ROBOT = 69
 EXIT_REFUSED = 1
@@ -29,26 +30,59 @@ Connect = Annotated[str | None, typer.Option(help="Zenoh endpoint of the robot, 
 def open_client(name_or_file: str, connect: str | None, *, zero_on_exit: bool = False) -> Client:
     """A client that has found its robot; leaves the command with exit 69 when it does not answer.
 
-    A robot file, given or bundled under that name, tells the endpoint; `connect` overrides it.
+    A robot file, given, installed or bundled under that name, tells the endpoint; `connect` overrides it. Of a name it
+    is said which file that was.
     """
-    robot, endpoint = name_or_file, connect or DEFAULT_ENDPOINT
+    target = locate(name_or_file, connect)
+    if target.told:
+        note(f"{target.robot}: {target.source}")
+    client = Client(target.robot, connect=[target.endpoint], zero_on_exit=zero_on_exit)
+    if not client.wait_alive(ALIVE_TIMEOUT_S):
+        others = client.others_alive()
+        client.close()
+        complain(unanswered(target, others))
+        raise typer.Exit(EXIT_NO_ROBOT)
+    return client
+
+
+class Target(NamedTuple):
+    """Whom to talk to, where, and in words who says so; `told`: the caller did not, so that it is worth a line."""
+
+    robot: str
+    endpoint: str
+    source: str
+    told: bool = False
+
+
+def locate(name_or_file: str, connect: str | None) -> Target:
+    """Raises ConfigError for a robot file that is given and wrong; one that was looked up must not keep a stop away."""
     try:
-        config, _ = load(robot_files.find(name_or_file))
+        found = robot_files.locate(name_or_file)
     except ConfigError:
         if name_or_file.endswith(".toml"):
             raise
-    else:
-        robot = config.robot.name
-        endpoint = connect or (config.zenoh.listen[0] if config.zenoh.listen else DEFAULT_ENDPOINT)
-    client = Client(robot, connect=[endpoint], zero_on_exit=zero_on_exit)
-    if not client.wait_alive(ALIVE_TIMEOUT_S):
-        client.close()
-        complain(
-            f"{robot} does not answer on {endpoint}: is `drivegate run` up, and is this its endpoint "
-            "(--connect, or its robot file as NAME)?"
-        )
-        raise typer.Exit(EXIT_NO_ROBOT)
-    return client
+        source = "as given by --connect" if connect else "of no robot file, so the usual one"
+        return Target(name_or_file, connect or DEFAULT_ENDPOINT, source)
+    given = found.place is robot_files.Place.GIVEN
+    try:
+        config, _ = load(found.path)
+    except ConfigError as error:
+        if given:
+            raise
+        source = f"the usual endpoint, because of {found.words} {error.problems[0]}"
+        return Target(name_or_file, connect or DEFAULT_ENDPOINT, source, told=True)
+    listen = config.zenoh.listen
+    source = f"as given by --connect, of {found.words}" if connect else f"zenoh.listen of {found.words}"
+    return Target(config.robot.name, connect or (listen[0] if listen else DEFAULT_ENDPOINT), source, told=not given)
+
+
+def unanswered(target: Target, others: Sequence[str]) -> str:
+    """That nobody answers, and what to pass. `others`: robots that do answer there."""
+    there = f"; there answers {', '.join(others)}: give that as NAME, if it is meant" if others else ""
+    return (
+        f"{target.robot} does not answer on {target.endpoint} ({target.source}){there}. Is `drivegate run` up? If it "
+        "listens elsewhere, pass --connect tcp/ADDRESS:PORT (its zenoh.listen), or its robot file as NAME"
+    )
 
 
 def send(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
@@ -100,7 +134,7 @@ def _send(
     state = client.state()
     limits = () if state is None else state.status.limits_active
     if not rest(client, source) and reason is None:
-        return f"did not come to rest within {REST_TIMEOUT_S:g} s", limits
+        return unrested(client), limits
     after = client.odometry()
     moved = before is None or after is None or before[1:4] != after[1:4]
     if reason is None and twist != ZERO_TWIST and seconds > 0.0 and not moved:
@@ -136,21 +170,32 @@ def stop(
     with open_client(name, connect) as client:
         if reset:
             answer = client.reset()
+            left = client.wait_for_state(lambda state: state.status.mode is not Mode.ESTOP, STOP_TIMEOUT_S)
+            done = f"reset granted: {mode_words(client)}" if left else "reset granted"
         elif client.stop(STOP_TIMEOUT_S):
-            answer = ResetAnswer(True, None)
+            answer, done = ResetAnswer(True, None), f"emergency stop confirmed: {_stopped(client, name)}"
         else:
             answer = ResetAnswer(
                 False, f"no emergency stop confirmed within {STOP_TIMEOUT_S:g} s: {mode_words(client)}"
             )
-    tell(answer, json=json)
+            done = ""
+    tell(answer, json=json, done=done)
 
 
-def tell(answer: ResetAnswer, *, json: bool) -> None:
-    """What the robot answered; leaves the command with exit 0 when it did what was asked."""
+def _stopped(client: Client, name: str) -> str:
+    """How a robot is that was stopped, and how it is released."""
+    state = client.state()
+    standing = None if state is None else state.status.standing
+    how = {True: "it stands", False: "it is braking", None: "whether it stands is not known"}[standing]
+    return f"{how}; latched until `drivegate stop {name} --reset`"
+
+
+def tell(answer: ResetAnswer, *, json: bool, done: str) -> None:
+    """What the robot answered, or in words what is done now; leaves the command with exit 0 when it did that."""
     if json:
         print_json(answer._asdict())
     elif answer.ok:
-        console.print("done")
+        console.print(done, markup=False, highlight=False, soft_wrap=True)
     else:
         complain(f"refused: {answer.reason}")
     raise typer.Exit(0 if answer.ok else EXIT_REFUSED)
@@ -201,6 +246,57 @@ def watch(
             return
 
 
+def source_words(source: SourceStatus) -> str:
+    """Whether it drives, and why not."""
+    age = "" if source.age_s is None else f" ({source.age_s * 1e3:.0f} ms old)"
+    return f"{source.name}: {source.reason or 'drives'}{age}"
+
+
+def events(
+    name: RobotName,
+    follow: Annotated[bool, typer.Option("--follow", help="Go on with every event that comes, until Ctrl-C.")] = False,
+    connect: Connect = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document for each line.")] = False,
+) -> None:
+    """What holds now, mode and faults; with --follow also each event that comes. See `doctor --explain CODE`."""
+    with open_client(name, connect) as client:
+        state = client.wait_for_state(lambda _: True, ALIVE_TIMEOUT_S)
+        if state is None:
+            complain(f"{name} tells no state")
+            raise typer.Exit(EXIT_NO_ROBOT)
+        for event in _present(state.status, state.t):
+            _tell_event(event, json=json)
+        if not follow:
+            return
+        try:
+            while client.alive:
+                for event in client.events():
+                    _tell_event(event, json=json)
+                time.sleep(0.05)
+        except KeyboardInterrupt:
+            return
+        for event in client.events():
+            _tell_event(event, json=json)
+    complain(f"{name} is gone")
+    raise typer.Exit(EXIT_NO_ROBOT)
+
+
+def _present(status: Status, t: float) -> Iterator[EventMessage]:
+    """What events have told before, as far as it still holds."""
+    yield EventMessage(t, Level.INFO, f"mode_{status.mode.value}", status.reason or "drives as commanded")
+    for fault in status.faults:
+        yield EventMessage(t, Level.ERROR, "fault", fault)
+
+
+def _tell_event(event: EventMessage, *, json: bool) -> None:
+    if json:
+        print_json(event._asdict() | {"level": event.level.value})
+        return
+    style = {Level.INFO: "dim", Level.WARNING: "yellow", Level.ERROR: "red"}[event.level]
+    console.print(f"{event.t:12.3f}  [{style}]{event.level.value:8}[/]", end="", highlight=False)
+    console.print(f"{event.code}: {event.text}", markup=False, highlight=False, soft_wrap=True)
+
+
 def _sensed(sensor: SensorStatus) -> str:
     """What it tells, or why nothing of it is believed."""
     if sensor.values is None:
@@ -231,6 +327,7 @@ def _table(name: str, client: Client, state: StateMessage | None, events: list[E
     facts = [f"{name} {_fact(fact)}" for name, fact in status.chassis.items() if fact is not None]
     sensors = [_sensed(sensor) for sensor in status.sensors]
     caption[2:2] = ["  ".join(line) for line in (facts, sensors) if line]
+    caption[1:1] = ["sources " + "  ".join(map(source_words, status.sources))]
     table = Table("motor", "state", "commanded", "measured", "torque", "age", title=title, caption="\n".join(caption))
     for motor in status.motors:
         table.add_row(

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 from rich.console import Console
 
-EXIT_CONFIG = 78  # EX_CONFIG of sysexits.h; systemd must not restart into it
+import gateway.errors
+
+EXIT_CONFIG = gateway.errors.EXIT_CONFIG
 
 console = Console()
 errors = Console(stderr=True, soft_wrap=True)
@@ -22,6 +24,11 @@ def in_words(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     return str(error)
+
+
+def note(text: str) -> None:
+    """What somebody should know who gets what was asked for, on standard error."""
+    errors.print(text, style="dim", markup=False, highlight=False)
 
 
 def print_json(document: Mapping[str, object]) -> None:

@@ -24,4 +24,8 @@ def reference(
         raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect) as client:
         answer = client.reference(motor, angle)
-    tell(answer, json=json)
+    tell(
+        answer,
+        json=json,
+        done=f"{motor or 'the steered joint'} stands at {angle:g} rad, as you said: the robot believes it",
+    )

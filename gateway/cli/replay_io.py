@@ -162,7 +162,7 @@ def export(
 
 def import_(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     file: Annotated[Path, typer.Argument(help="Log of CAN frames.")],
-    robot: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    robot: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     maps: Annotated[
         list[str] | None, typer.Option("--map", help="CHANNEL=BUS: of the log, of the robot. Again for each channel.")
     ] = None,

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -12,8 +13,8 @@ import typer
 
 from gateway import robot_files
 from gateway.client import Client
-from gateway.config import RobotConfig, load
-from gateway.core.examination import examine
+from gateway.config import RobotConfig, read
+from gateway.core.examination import examine_text
 from gateway.edges import log_queue, realtime
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.estop_latch import EstopFile, EstopLatch
@@ -28,12 +29,23 @@ from replay.sim.bus import SimulatedBus
 from replay.sim.plants.contract import PlantName
 from replay.sim.robot import SimulatedRobot, chosen_plant
 
+logger = logging.getLogger(__name__)
+
 CLOSE_RECORDING_S = 20.0
 SWITCH_INTERVAL_S = 0.0005  # how long another thread may hold the loop up for the interpreter lock
 
 
+class LogLevel(Enum):
+    """Of the lines on standard error, the journal of a service."""
+
+    DEBUG = "debug"
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
 def run(
-    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     *,
     simulate: Annotated[bool, typer.Option("--simulate", help="Drive the simulated robot, not a bus.")] = False,
     plant: Annotated[
@@ -49,6 +61,9 @@ def run(
         typer.Option(help="Directory that keeps a latched emergency stop; else $STATE_DIRECTORY, else that of --out."),
     ] = None,
     endpoint: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on instead.")] = None,
+    log_level: Annotated[
+        LogLevel, typer.Option("--log-level", help="The least that is logged; `debug` tells of every library.")
+    ] = LogLevel.INFO,
 ) -> None:
     """Run the drive gateway of one robot until SIGTERM, or any other signal that would end it."""
     for name, value in (("--plant", plant), ("--friction", friction)):
@@ -56,11 +71,17 @@ def run(
             raise typer.BadParameter("belongs to --simulate", param_hint=name)
     ending = EndRequest()
     ending.listen()
-    log_queue.take_over(level=logging.INFO, layout="%(levelname)s %(name)s: %(message)s")
+    log_queue.take_over(
+        level=logging.getLevelNamesMapping()[log_level.value.upper()], layout="%(levelname)s %(name)s: %(message)s"
+    )
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    path = robot_files.find(file)
-    config, text = load(path)
-    examine(config, str(path))
+    found = robot_files.locate(file)
+    path = found.path
+    text = read(path)
+    config, _ = examine_text(text, str(path))
+    logger.info("robot file: %s", found.words)
+    if (unlike := robot_files.unlike(path, config.robot.name)) is not None:
+        logger.warning("%s", unlike)
     simulated = _simulated(config, plant or PlantName.SIMPLE, str(path), friction) if simulate else None
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()

@@ -24,4 +24,4 @@ def set(  # the command's name
         raise typer.Exit(EXIT_REFUSED) from None
     with open_client(name, connect) as client:
         answer = client.set(setting, value)
-    tell(answer, json=json)
+    tell(answer, json=json, done=f"{setting} = {value:g} until the robot is restarted")

@@ -29,7 +29,7 @@ _ENDING = {signal.SIGTERM, signal.SIGINT}
 
 
 def sim(
-    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     channel: Annotated[str | None, typer.Option(help="CAN interface instead of the robot file's, e.g. vcan0.")] = None,
     tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
     plant: Annotated[PlantName, typer.Option(help="By what the robot moves.")] = PlantName.SIMPLE,

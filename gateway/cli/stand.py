@@ -15,6 +15,12 @@ class Way(Enum):
     DOWN = "down"
 
 
+_DONE = {
+    Way.UP: "granted: it stands up with the next zero command, within 10 s",
+    Way.DOWN: "granted: it lets go within a second",
+}
+
+
 def stand(
     name: RobotName,
     way: Annotated[Way, typer.Argument(help="Hold it upright before either.")],
@@ -24,4 +30,4 @@ def stand(
     """Of a robot that balances: you hold it, and it stands up (with the next zero command), or lets go within 1 s."""
     with open_client(name, connect) as client:
         answer = client.stand_up() if way is Way.UP else client.let_down()
-    tell(answer, json=json)
+    tell(answer, json=json, done=_DONE[way])

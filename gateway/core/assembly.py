@@ -1,6 +1,7 @@
 """From a robot file to the parts of the core: kinematics, drivers, transmissions, speed loops. Pure."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from drivers import DRIVERS
@@ -9,7 +10,7 @@ from drivers.contract import Capabilities, Driver, IdUse, MotorSpec, ReceiveFilt
 from drivers.sensors import SENSORS, sensor_problem
 from drivers.sensors.contract import SensorDriver, SensorSpec
 from gateway.chassis.contract import LawParts
-from gateway.config import ConfigError, Motor, RobotConfig, Sensor
+from gateway.config import ConfigError, Motor, Parts, RobotConfig, Sensor
 from gateway.control.decoupled import Decoupled, Saturation
 from gateway.control.drive_law import DriveLaw
 from gateway.control.grip import GripError
@@ -21,6 +22,7 @@ from gateway.control.transmission import Transmission, Winding
 from gateway.control.wheel_limits import WheelLimits
 from gateway.core.detectors import Limits
 from gateway.core.settings import problems_of_file
+from gateway.guess import guess
 from gateway.kinematics.contract import GeometryError, Kinematics
 
 
@@ -101,6 +103,58 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         law=law,
         ports=ports,
     )
+
+
+def problems_of(parts: Parts) -> list[str]:
+    """What is wrong with the sound parts of a robot file, each looked at by itself, whatever is wrong beside it."""
+    found = [] if parts.settings is None else [f"settings: {one}" for one in problems_of_file(parts.settings)]
+    if parts.robot is not None:
+        try:
+            parts.robot.kinematics()
+        except GeometryError as error:
+            found.append(f"robot: {error}")
+    rate = None if parts.loop is None else parts.loop.rate
+    members: dict[tuple[str, str], list[Motor]] = {}
+    for motor in parts.motors.sound:
+        found += _no_driver(motor)
+        members.setdefault((motor.bus, motor.driver), []).append(motor)
+    if rate is not None:
+        found += [one for (bus, name), motors in members.items() for one in _of_group(name, bus, motors, rate)]
+    for sensor in parts.sensors.sound:
+        if sensor.bus is not None:
+            found += _tried(partial(_sensor_driver, sensor, sensor.bus, ""))
+    return found
+
+
+def _no_driver(motor: Motor) -> list[str]:
+    """What is wrong with the names of driver and variant."""
+    if motor.driver not in DRIVERS:
+        known = sorted(DRIVERS)
+        words = f"unknown; there is {', '.join(known)}{guess(motor.driver, known)}"
+        return [f"motor {motor.name}: driver = {motor.driver!r}: {words}"]
+    variants = DRIVERS[motor.driver].variants
+    if motor.variant in variants:
+        return []
+    words = f"driver {motor.driver} knows {', '.join(variants)}{guess(motor.variant, variants)}"
+    return [f"motor {motor.name}: variant = {motor.variant!r}: {words}"]
+
+
+def _of_group(name: str, bus: str, motors: Sequence[Motor], rate: float) -> list[str]:
+    """What its driver says of each motor alone; of all together only where that is nothing."""
+    known = [motor for motor in motors if not _no_driver(motor)]
+    alone = [one for motor in known for one in _tried(partial(_driver, name, bus, [_spec(motor, rate)], ""))]
+    if alone or not known:
+        return alone
+    return _tried(partial(_driver, name, bus, [_spec(motor, rate) for motor in known], ""))
+
+
+def _tried(make: Callable[[], object]) -> list[str]:
+    """The problems of making something; none where it can be made."""
+    try:
+        make()
+    except ConfigError as error:
+        return list(error.problems)
+    return []
 
 
 def limiter(config: RobotConfig, robot: Robot) -> TwistLimiter:
@@ -239,7 +293,7 @@ def _sensor_driver(sensor: Sensor, bus: str, origin: str) -> SensorDriver:
 def _driver(name: str, bus: str, motors: Sequence[MotorSpec], origin: str) -> Driver:
     if name not in DRIVERS:
         problem = f"motor {motors[0].name}: driver = {name!r}: unknown; there is {', '.join(sorted(DRIVERS))}"
-        raise ConfigError(origin, [problem])
+        raise ConfigError(origin, [problem + guess(name, sorted(DRIVERS))])
     try:
         return DRIVERS[name](bus, motors)
     except ValueError as error:

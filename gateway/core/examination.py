@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 from drivers.contract import Traffic
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import LoopLimit
-from gateway.config import Bus, ConfigError, RobotConfig, Sensor
+from gateway.config import Bus, ConfigError, Limits, RobotConfig, Sensor, survey
 from gateway.control.launch import FRICTION
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
-from gateway.core.assembly import Robot, build, feedback_delay
+from gateway.core.assembly import Robot, build, feedback_delay, problems_of
 from gateway.kinematics.forces import PushTable, force_coupling
 from gateway.kinematics.linear import condition, decompose, diagonal, product, pseudo_inverse, transpose
 from gateway.types import Rates
@@ -131,6 +131,18 @@ def frame_time(item: Traffic, bus: Bus) -> float:
     return nominal / bus.bitrate + fast / (bus.fd_bitrate if item.bit_rate_switch else bus.bitrate)
 
 
+def examine_text(text: str, origin: str) -> tuple[RobotConfig, Examination]:
+    """The robot of a file and its report. Raises ConfigError with everything that is wrong, of every layer at once."""
+    found = survey(text, origin)
+    problems = [*found.problems, *problems_of(found.parts)]
+    limits = found.parts.limits
+    if found.config is None and limits is not None and _alike(limits):
+        problems += _late_stops(limits)
+    if found.config is None or problems:
+        raise ConfigError(origin, dict.fromkeys(problems))
+    return found.config, examine(found.config, origin)
+
+
 def examine(config: RobotConfig, origin: str) -> Examination:
     """The report. Raises ConfigError for a robot that cannot be driven or a bus beyond LOAD_REFUSAL."""
     robot = build(config, origin)
@@ -143,16 +155,8 @@ def examine(config: RobotConfig, origin: str) -> Examination:
         for bus in buses
         if bus.load > LOAD_REFUSAL
     ]
-    stopping = config.limits.as_stopping()
-    late = config.limits.motors_stop()  # where the motors follow slowly they are later than the setpoint at rest
-    stop_s = stopping_time(**stopping) + late
-    stop_m = stopping_distance(**stopping) + sqrt(limit[0] * limit[0] + limit[1] * limit[1]) * late
-    if stop_s > STOPPING_REFUSAL_S:
-        overloaded.append(
-            f"limits: a stop from top speed takes {stop_s:.1f} s and {stop_m:.1f} m; allowed up to "
-            f"{STOPPING_REFUSAL_S:g} s: {_sooner(config)}"
-            + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
-        )
+    stop_s, stop_m = _stop(config.limits)
+    overloaded += _late_stops(config.limits)
     grip = _gripping(config, robot)
     if grip is not None and grip.stopping_time_s > STOPPING_REFUSAL_S:
         overloaded.append(
@@ -271,10 +275,38 @@ def _push(table: PushTable, usable: Sequence[bool]) -> Push:
     return Push(forward, diagonal, sideways, *table.least(usable))
 
 
-def _sooner(config: RobotConfig) -> str:
+def _stop(limits: Limits) -> tuple[float, float]:
+    """From top speed to rest: s and m, at most."""
+    stopping = limits.as_stopping()
+    late = limits.motors_stop()  # where the motors follow slowly they are later than the setpoint at rest
+    vx, vy, _ = limits.velocity.as_twist()
+    return stopping_time(**stopping) + late, stopping_distance(**stopping) + sqrt(vx * vx + vy * vy) * late
+
+
+def _alike(limits: Limits) -> bool:
+    """Whether all of them are of the same axes and motors, as they are in a file that is right."""
+    axes = limits.velocity.named()
+    motors = limits.motor_acceleration or {}
+    return all(of.named() == axes for of in limits.axes().values()) and motors.keys() <= limits.motor_speed.keys()
+
+
+def _late_stops(limits: Limits) -> list[str]:
+    """That a stop takes too long, and what would make it shorter."""
+    seconds, metres = _stop(limits)
+    if seconds <= STOPPING_REFUSAL_S:
+        return []
+    late = limits.motors_stop()
+    return [
+        f"limits: a stop from top speed takes {seconds:.1f} s and {metres:.1f} m; allowed up to "
+        f"{STOPPING_REFUSAL_S:g} s: {_sooner(limits)}"
+        + (f"; the motors alone need {late:.1f} s of it: raise limits.motor_acceleration" if late else "")
+    ]
+
+
+def _sooner(limits: Limits) -> str:
     """What lets the axis stop sooner that takes longest: to brake harder, or to get to it (and out of it) faster."""
-    axes = config.robot.AXES
-    rates = [limits.as_rates(axes) for limits in config.limits.axes().values()]
+    axes = limits.velocity.named()
+    rates = [of.as_rates(axes) for of in limits.axes().values()]
     times = [
         (velocity / acceleration, acceleration / jerk) for velocity, acceleration, jerk in zip(*rates, strict=True)
     ]

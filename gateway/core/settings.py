@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 from gateway.control.compensation import WHOLE_CIRCLE
 from gateway.control.drive_law import DriveLaw
 from gateway.control.launch import FRICTION, LEAST_FRICTION, MOST_FRICTION
+from gateway.guess import guess
 from gateway.types import SettingStatus
 
 
@@ -45,7 +46,8 @@ KNOWN: Final = f"must be one of {', '.join(SETTINGS)}"
 def problems(asked: Mapping[str, float]) -> list[str]:
     """What is wrong with values that somebody gives to settings, whatever the robot."""
     found = [
-        SETTINGS[name].refusal(value) if name in SETTINGS else f"{name!r}: {KNOWN}" for name, value in asked.items()
+        SETTINGS[name].refusal(value) if name in SETTINGS else f"{name!r}: {KNOWN}{guess(name, SETTINGS)}"
+        for name, value in asked.items()
     ]
     return [problem for problem in found if problem is not None]
 

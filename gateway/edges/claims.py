@@ -13,6 +13,8 @@ import socket
 import struct
 from collections.abc import Iterable
 
+from gateway.errors import UserError
+
 logger = logging.getLogger(__name__)
 
 _LONGEST_NAME = 107  # bytes with the leading zero; sun_path of unix(7)
@@ -20,7 +22,7 @@ _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid; SO_PEERCRED of unix(7)
 _ASKERS = 16  # refused services whose question may wait unanswered
 
 
-class InUseError(RuntimeError):
+class InUseError(UserError):
     """Another process commands these motors; the text says which identifier and, if it can be known, which process."""
 
 

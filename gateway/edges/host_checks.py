@@ -113,8 +113,11 @@ def clock(*, wall_s: float, synchronised: bool, resolution_s: float, source: str
     return findings or [Finding("clock", Grade.OK, f"synchronised, {source}, sleeps end {late_s * 1e3:.2f} ms late")]
 
 
-def disk(directory: str, *, free: int | None, min_free: int, budget: int) -> Finding:
-    """Room for sessions; `free` None: the directory cannot be looked at."""
+def disk(directory: str, *, free: int | None, min_free: int, budget: int, obstacle: str | None = None) -> Finding:
+    """Room for sessions; `free` None: the directory cannot be looked at; `obstacle`: why it is none to write into."""
+    if obstacle is not None:
+        cure = "correct recording.directory in the robot file, or give --out DIR"
+        return Finding("disk", Grade.PROBLEM, f"{directory} cannot be used: {obstacle}", cure)
     if free is None:
         return Finding("disk", Grade.PROBLEM, f"{directory} cannot be looked at", f"ls -ld {directory}")
     text = f"{free / 1e9:.1f} GB free for {directory}"

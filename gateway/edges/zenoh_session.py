@@ -18,6 +18,8 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.errors import UserError
+
 LEASE_MS = 2000  # a peer that freezes is dropped after this; Zenoh's default is 10 s
 RECONNECT_MS = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 MAX_PEERS = 32
@@ -32,10 +34,19 @@ CLOSE_S = 2.0  # how long each step of closing may take before the process goes 
 logger = logging.getLogger(__name__)
 
 _SOURCE_PLACE = re.compile(r" at /\S+:\d+\.?")  # Zenoh's errors end with lines of its own source code
+_PARSERS = (  # of JSON5, twice, and of TOML, with the whole file in it
+    re.compile(r"--> (?P<line>\d+):(?P<column>\d+)\n.*= (?P<what>[^\n]+)", re.DOTALL),
+    re.compile(
+        r'Message \{ msg: "(?P<what>.*?)(?<!\\)", location: Some\(Location \{ line: (?P<line>\d+), '
+        r"column: (?P<column>\d+) \}\)",
+        re.DOTALL,
+    ),
+    re.compile(r'Error \{ message: "(?P<what>.*?)(?<!\\)"', re.DOTALL),
+)
 _T = TypeVar("_T")
 
 
-class LinkError(RuntimeError):
+class LinkError(UserError):
     """The Zenoh session cannot be opened or has ended; says with which endpoints and why."""
 
 
@@ -53,7 +64,7 @@ def open_zenoh(
     """
     zenoh.init_log_from_env_or("error")
     try:
-        config = zenoh.Config.from_file(config_file) if config_file else zenoh.Config()
+        config = _file(config_file) if config_file else zenoh.Config()
         for key, value in _settings(listen, connect, max_message_size, scouting).items():
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
@@ -160,5 +171,21 @@ def _settings(listen: Sequence[str], connect: Sequence[str], size: int, scouting
     }
 
 
+def _file(path: str) -> zenoh.Config:
+    """Zenoh's own settings. Raises LinkError, with the place in the file."""
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise LinkError(f"zenoh.config_file = {path}: {_reason(error)}") from None
+
+
 def _reason(error: zenoh.ZError) -> str:
-    return _SOURCE_PLACE.sub("", str(error))
+    """In words: what its parsers say comes as a picture of the text or as a structure of theirs."""
+    text = _SOURCE_PLACE.sub("", str(error))
+    for shape in _PARSERS:
+        found = shape.search(text)
+        if found is not None:
+            told = found.groupdict()
+            place = f"line {told['line']}, column {told['column']}: " if "line" in told else ""
+            return place + told["what"].replace('\\"', '"')
+    return text

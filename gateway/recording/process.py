@@ -199,7 +199,8 @@ def main(descriptor: int) -> int:
     try:
         writer = _writer(config, hello)
     except OSError as error:
-        return _refuse(inbox, str(error))
+        where = "" if hello.folder is not None else f"recording.directory = {config.recording.directory!r}: "
+        return _refuse(inbox, f"{where}{_words(error)}; give another directory, or recording.enabled = false")
     incidents = keeper(config, hello, Path(writer.report().folder).name or None)
     try:
         record(inbox, writer, incidents)
@@ -223,6 +224,12 @@ def _writer(config: RobotConfig, hello: Hello) -> Writer:
     from gateway.recording.writer import SessionWriter  # noqa: PLC0415  # with Rerun, 75 MB
 
     return SessionWriter(config, hello)
+
+
+def _words(error: OSError) -> str:
+    """What the system says, and of which file, without its number."""
+    named = "" if error.filename is None else f" ({error.filename})"
+    return f"{error.strerror or error}{named}"
 
 
 def _refuse(inbox: Inbox, text: str) -> int:

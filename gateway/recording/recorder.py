@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from gateway.config import RobotConfig
 from gateway.core.snapshot import State
+from gateway.errors import UserError
 from gateway.recording.child import RecorderChild, TooLongError, recorder_spawner
 from gateway.recording.packets import (
     SNAPSHOT_PERIOD_NS,
@@ -51,7 +52,7 @@ ENDS: dict[int | None, str] = {
 NO_INCIDENTS = IncidentReport(0, 0, None, None, pending=False)
 
 
-class RecorderError(RuntimeError):
+class RecorderError(UserError):
     """The recorder process could not be started; the text says why."""
 
 

@@ -91,7 +91,7 @@ def run_scenario(
 
     Raises ConfigError when the scenario names what is not on this robot.
     """
-    robot = load(robot_files.find(scenario.robot))[0] if config is None else config
+    robot = load(robot_files.find_bundled(scenario.robot))[0] if config is None else config
     check_names(scenario, robot, "scenario")
     return _Drive(scenario, robot, watch, recording, given or Given()).run()
 

@@ -200,7 +200,7 @@ def find_robot(scenario: Scenario, folder: Path, named: str | None = None) -> Pa
     """Its robot file, a path counted from the scenario's folder; `named` stands in for it. Raises ConfigError."""
     if named is None and (folder / scenario.robot).is_file():
         return folder / scenario.robot
-    return robot_files.find(named or scenario.robot)
+    return robot_files.find(named) if named is not None else robot_files.find_bundled(scenario.robot)
 
 
 def check_names(scenario: Scenario, config: RobotConfig, origin: str) -> None:

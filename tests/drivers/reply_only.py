@@ -100,6 +100,7 @@ class ReplyOnlyDriver:
     """The controllers of one bus."""
 
     variants: ClassVar[tuple[str, ...]] = ("replier",)
+    words: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, bus: str, motors: Sequence[MotorSpec]) -> None:
         check_specs(motors, driver="reply_only", variants=self.variants, ids=range(1, 16), cyclic=False)

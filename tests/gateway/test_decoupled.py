@@ -446,7 +446,7 @@ def test_the_robot_goes_straight_while_it_starts(direction: Twist) -> None:
 
 
 def test_a_robot_that_cannot_choose_is_not_asked() -> None:
-    with pytest.raises(ConfigError, match=r"robot\.saturation = 'wheels': Input should be 'both', 'translation'"):
+    with pytest.raises(ConfigError, match=r"robot\.saturation = 'wheels': must be .both., .translation. or .rotation."):
         parse(edited("wheels"), "r.toml")
     chosen = robot_text("moby").replace('name = "moby"', 'name = "moby"\nsaturation = "rotation"', 1)
     with pytest.raises(ConfigError, match=r"saturation = 'rotation': unknown key"):

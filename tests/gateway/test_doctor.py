@@ -204,6 +204,26 @@ def test_disk() -> None:
     assert grades == [Grade.PROBLEM, Grade.PROBLEM, Grade.NOTE, Grade.OK]
 
 
+def test_a_directory_that_cannot_be() -> None:
+    found = doctor.disk("/a/b", free=None, min_free=1, budget=1, obstacle="/a is no directory")
+    assert found.grade is Grade.PROBLEM
+    assert found.text == "/a/b cannot be used: /a is no directory"
+    assert found.cure is not None
+    assert "recording.directory" in found.cure
+
+
+def test_where_sessions_cannot_go(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert command._room(tmp_path / "file" / "x", ours=False).obstacle == f"{tmp_path}/file is no directory"
+    words = command._room(Path("/proc/no/such"), ours=False).obstacle
+    assert words is not None
+    assert words.startswith("/proc is no file system that keeps files")
+    there = command._room(tmp_path / "new" / "one", ours=False)
+    assert there.obstacle is None
+    assert there.free is not None
+    assert there.free > 0
+
+
 @pytest.mark.parametrize(
     ("free", "answered", "active", "grade"),
     [
@@ -330,6 +350,7 @@ def test_the_command_reports_a_missing_interface(tmp_path_factory: pytest.TempPa
     lines = {finding["subject"]: finding for finding in report["findings"]}
     assert lines["CAN absent0"]["text"] == "there is no such interface"
     assert lines["CAN absent0"]["cure"]
+    assert lines["robot file"]["text"] == f"{path}: moby"
     assert {"versions", "clock", "disk", "scheduling", "memory", "drivegate@moby.service"} <= set(lines)
     words = CliRunner().invoke(build("doctor"), ["doctor", str(path)])
     assert words.exit_code == 1

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.cli.drive import KEYS, QUIT_KEYS, RELEASE_S, RESET_KEY, STOP_KEY, Keys
-from gateway.cli.operate import STALE_S, is_refusal, mode_words
+from gateway.cli.operate import STALE_S, _present, _stopped, is_refusal, mode_words, source_words
 from gateway.client import Client
-from gateway.commander import objection, start, stream
+from gateway.commander import objection, rest, start, stream, unrested
 from gateway.edges.messages import EventMessage, StateMessage
 from gateway.types import ZERO_TWIST, Level, Mode, SourceStatus, Twist
 from tests.gateway.test_messages import STATUS
@@ -115,6 +115,7 @@ def test_the_mode_of_a_robot_that_died_is_unknown() -> None:
         (_state(Mode.DRIVE), "teleop", None),
         (_state(Mode.DEGRADED), "teleop", None),
         (_state(Mode.DRIVE), "ghost", "no source ghost: the sources are teleop"),
+        (_state(Mode.DRIVE), "telop", "no source telop: the sources are teleop; did you mean 'teleop'?"),
         (_state(Mode.ESTOP, reason="needs a reset"), "teleop", "mode estop: needs a reset"),
         (_state(Mode.DRIVE, winner="joy"), "teleop", "source teleop: outranked by joy"),
         (None, "teleop", "no state received"),
@@ -126,6 +127,41 @@ def test_why_a_source_does_not_drive(state: StateMessage | None, source: str, wo
 
 def test_a_robot_that_is_gone_does_not_drive() -> None:
     assert objection(_client(FakeClient([_state(Mode.DRIVE)], alive=False)), "teleop") == "the robot is gone"
+
+
+def test_a_robot_that_is_gone_is_waited_for_by_nobody() -> None:
+    gone = FakeClient([_state(Mode.DRIVE)], alive=False)
+    assert not start(_client(gone), "teleop")
+    assert not rest(_client(gone), "teleop")
+    assert gone.sent == []
+    assert unrested(_client(gone)) == "the robot is gone: whether it came to rest is not known"
+    assert unrested(_client(FakeClient())) == "did not come to rest within 10 s"
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (SourceStatus("teleop", 0.12, None), "teleop: drives (120 ms old)"),
+        (SourceStatus("teleop", None, "silent"), "teleop: silent"),
+    ],
+)
+def test_what_is_shown_of_a_source(source: SourceStatus, words: str) -> None:
+    assert source_words(source) == words
+
+
+def test_what_holds_now_is_told_as_events() -> None:
+    status = STATUS._replace(mode=Mode.FAULT, reason="coming to rest", faults=("left: silent for 0.30 s",))
+    told = [(event.level, event.code, event.text) for event in _present(status, 1.0)]
+    assert told == [(Level.INFO, "mode_fault", "coming to rest"), (Level.ERROR, "fault", "left: silent for 0.30 s")]
+
+
+@pytest.mark.parametrize(
+    ("standing", "words"),
+    [(True, "it stands"), (False, "it is braking"), (None, "whether it stands is not known")],
+)
+def test_what_is_said_of_a_stop(standing: bool | None, words: str) -> None:
+    state = StateMessage(0.0, STATUS._replace(standing=standing), {})
+    assert _stopped(_client(FakeClient([state])), "moby") == f"{words}; latched until `drivegate stop moby --reset`"
 
 
 def test_refusals_of_a_source_are_known_by_code_and_name() -> None:

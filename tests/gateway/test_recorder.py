@@ -503,8 +503,12 @@ def test_rerun_switched_off_is_noticed(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(RecorderError, match="file"):
+    with pytest.raises(RecorderError) as caught:
         start(tmp_path / "file")
+    message = str(caught.value)
+    assert message.startswith(f"recording.directory = '{tmp_path}/file': ")
+    assert message.endswith("; give another directory, or recording.enabled = false")
+    assert "Errno" not in message
 
 
 def test_the_service_does_not_import_rerun() -> None:

@@ -150,8 +150,8 @@ def test_strangers_and_samples_older_than_the_last_are_left_out() -> None:
         ('[[sensor]]\nname = "gyro"\nkind = "heading"\ntimeout = 0.1\n', "sensor gyro: kind = 'heading': imu already"),
         ('[[sensor]]\nname = "nose"\nkind = "range"\ntimeout = 0.1\n', "sensor.name = 'nose': given twice"),
         ('[[sensor]]\nname = "teleop"\nkind = "range"\ntimeout = 0.1\n', "sensor.name = 'teleop': given twice"),
-        ('[[sensor]]\nname = "x"\nkind = "smell"\ntimeout = 0.1\n', "'heading', 'attitude' or 'range'"),
-        ('[[sensor]]\nname = "x"\nkind = "range"\ntimeout = 0.001\n', "greater than or equal to 0.02"),
+        ('[[sensor]]\nname = "x"\nkind = "smell"\ntimeout = 0.1\n', 'must be "heading", "attitude" or "range"'),
+        ('[[sensor]]\nname = "x"\nkind = "range"\ntimeout = 0.001\n', "must be a number, 0.02 to 2 s"),
     ],
 )
 def test_what_the_robot_file_may_say(more: str, words: str) -> None:

@@ -766,6 +766,34 @@ def test_a_config_file_that_is_missing_is_named() -> None:
         open_zenoh(listen=[], connect=[], max_message_size=1000, config_file="/no/such.json5")
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{ mode: ", "line 1, column 9: expected array, boolean"),
+        ("{\n mod: 3 }", "line 2, column 2: unknown field `mod`, expected one of `id`"),
+        ("{ mode: 3 }", "line 1, column 9: invalid type: integer `3`, expected either 'router'"),
+        ("", "Empty config file"),
+    ],
+)
+def test_a_wrong_config_file_is_named_with_the_place(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text(text)
+    with pytest.raises(LinkError) as caught:
+        open_zenoh(listen=[], connect=[], max_message_size=1000, config_file=str(file))
+    message = str(caught.value)
+    assert message.startswith(f"zenoh.config_file = {file}: {words}")
+    assert not any(part in message for part in ("Message {", "JSON error", "-->", "lib.rs", "\n"))
+
+
+def test_a_config_file_that_is_toml_is_not_printed_whole(tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text("[robot]\nsecret = 'whole'\n")
+    with pytest.raises(LinkError) as caught:
+        open_zenoh(listen=[], connect=[], max_message_size=1000, config_file=str(file))
+    assert f"{file}: unknown field `robot`" in str(caught.value)
+    assert "whole" not in str(caught.value)
+
+
 def test_a_config_file_counts_but_not_against_the_robot_file(tmp_path: Path, endpoint: str) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text('{mode: "router", /* as JSON5 */ listen: {endpoints: ["tcp/0.0.0.0:1"]}, namespace: "hall"}')

@@ -158,7 +158,7 @@ def test_a_plant_that_a_robot_does_not_have_is_refused(monkeypatch: pytest.Monke
     monkeypatch.delitem(PLANTS["omni"], PlantName.DYNAMICS)
     with pytest.raises(ConfigError, match="plant = 'dynamics': for a robot of kind omni there is 'simple'"):
         run_scenario(scenario("omni4", plant="dynamics"))
-    with pytest.raises(ConfigError, match="plant = 'wood': Input should be 'simple' or 'dynamics'"):
+    with pytest.raises(ConfigError, match=r"plant = 'wood': must be .simple. or .dynamics."):
         parse_as(Scenario, "robot = 'moby'\nseconds = 5\nplant = 'wood'", "a.toml")
 
 

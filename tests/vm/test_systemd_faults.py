@@ -161,7 +161,7 @@ def test_a_wrong_robot_file_is_exit_78_and_no_restart() -> None:
     assert show("SubState", unit) == "failed"
     assert show("ExecMainStatus", unit) == "78"
     assert show("NRestarts", unit) == "0"
-    assert "wheel_radius = -0.1: Input should be greater" in journal(unit)
+    assert "wheel_radius = -0.1: must be a number, 0.001 to 10 m" in journal(unit)
     systemctl("reset-failed", unit)
     (CONFIG / "broken.toml").unlink()
 
