@@ -69,6 +69,10 @@ ROOMS: dict[str, set[str]] = {
     "replay/inject": {
         *("ground", "robot file", "gateway/control", "replay/sessions", "replay/drive", "replay/sim/plants"),
     },
+    "replay/identify": {
+        *("drivers", "ground", "robot file", "gateway/chassis", "gateway/control", "gateway/core"),
+        *("replay/sessions", "replay/compare", "replay/drive", "replay/sim/plants"),
+    },
     "replay/reproduce": {
         *(
             "ground",
@@ -104,6 +108,7 @@ PYDANTIC_FILES = {
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib
+FITTING_FILE = "replay/identify/fit.py"  # the only one that knows SciPy, which takes a third of a second to import
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 
@@ -184,6 +189,8 @@ def test_core_is_pure(path: Path) -> None:
         assert "pyarrow" not in tops or name(path) == TABLES_FILE
     if name(path) != DRAWING_FILE:
         assert "matplotlib" not in tops
+    if name(path) != FITTING_FILE:
+        assert "scipy" not in tops
     if "pydantic" in tops:
         assert name(path) in PYDANTIC_FILES or room(path) in PYDANTIC_ROOMS
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from gateway.cli import replay_inject, replay_io
+from gateway.cli import replay_identify, replay_inject, replay_io
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_files import repair
 from gateway.cli.replay_verify import verify
@@ -36,6 +36,7 @@ def _group() -> None:
     """Re-run recorded sessions."""
 
 
+replay_identify.register(replay)
 replay_inject.register(replay)
 replay_io.register(replay)
 replay.command()(repair)
