@@ -3,11 +3,15 @@
 How this works
 --------------
 The torques that the motors told, less those that the plant needs for the motion that was measured, are the residuals.
-SciPy makes their squares least. What is left over is not white (what a plant does not have comes back in the same
-places), so intervals go by its sums over pieces of `PIECE_S` each (a sandwich of clusters; Liang and Zeger 1986), with
-Student's t for as many pieces as there are. A parameter is told by a drive if its interval is narrower than it is
-large, or than what a joint would notice; of those that are not, the worst is held at what the robot file says, and the
-others are sought anew, until all that are left are told.
+SciPy makes their squares least, those along `instruments`: noise in the motion would make every parameter smaller than
+it is, and find movement where none was; the same motion without noise does not (instrumental variables; Soderstrom and
+Stoica 1983). What is left over is not white, as what a plant does not have comes back in the same places. So intervals
+go by its sums over pieces of `PIECE_S` each (a sandwich of clusters; Liang and Zeger 1986), with Student's t for as
+many pieces as there are.
+
+A parameter is told by a drive if its interval is narrow against it, and if what it does is not below what is left over.
+Of those that are not told the worst is held at what the robot file says, and the others are sought anew, until all that
+are left are told.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,22 +24,25 @@ from scipy.stats import t as student
 
 Array = NDArray[np.float64]
 
-PIECE_S = 1.0
+PIECE_S = 0.5
 CONFIDENCE = 0.95
-WIDEST = 0.5  # half the interval, of the parameter
-TWINS = 0.95  # correlation from which two parameters cannot be told apart
+WIDEST = 0.3  # half the interval, of the parameter
+FAINT = 1.0  # what a parameter does (rms), of what is mostly left over
+TWINS = 0.95  # cosine of the torques of two parameters from which they cannot be told apart
 ROUNDS = 5  # of weighing by what is left over
 MAD = 1.4826  # times the median of absolute residuals is their spread, if they are normal
 FAR_OUT = 3.0  # in spreads
 IMPOSSIBLE = "the plant does not fit this drive: it comes out as what no robot has"
 SINGULAR = 1e10  # condition of the information, each parameter in its own measure, from which it is none
+TINY = 1e-9  # N m by a parameter of its own size, in all
 
 
 class Problem(NamedTuple):
     """`columns`: N m of each motor at each instant by one of each parameter (parameters, motors, n); `rest`: without.
 
-    `told`: N m that the motors told, NaN where none. `values`: of the robot file, `scales`: what of each is noticed at
-    all, so that a parameter may be zero; `least`: below it there is no such robot.
+    `told`: N m that the motors told, NaN where none. `values`: of the robot file; `scales`: what of each is noticed at
+    all, so that a parameter may be zero; `least`: below it there is no such robot. `instruments`: columns as they would
+    be without noise, or the same ones.
     """
 
     names: Sequence[str]
@@ -46,6 +53,7 @@ class Problem(NamedTuple):
     rest: Array
     told: Array
     times: Array
+    instruments: Array
     scale_of_torques: str | None  # the parameter that multiplies what was told; None: what is told is true
 
 
@@ -78,8 +86,12 @@ def fit(problem: Problem, reasons: Callable[[str, str | None], str]) -> Fit:
         worst = int(np.argmax(np.nan_to_num(doubt, nan=np.inf))) if free else 0
         if free and not doubt[worst] <= 1.0:
             name = problem.names[free[worst]]
-            refused[name] = reasons(name, _twin(problem, free, worst, covariance))
+            refused[name] = reasons(name, _twin(problem, free, worst))
             free.pop(worst)
+        elif faint := [at for at in free if _does(problem, values, at) < FAINT]:
+            name = problem.names[faint[0]]
+            refused[name] = reasons(name, None)
+            free.remove(faint[0])
         elif below:
             name = problem.names[below[0]]
             refused[name] = f"{IMPOSSIBLE}: {values[below[0]]:.3g}"
@@ -93,11 +105,14 @@ def fit(problem: Problem, reasons: Callable[[str, str | None], str]) -> Fit:
 
 def _solved(problem: Problem, free: Sequence[int]) -> tuple[Array, Array, int]:
     """Values of all, covariance of those that are free, number of pieces."""
-    known = np.isfinite(problem.told)
+    known = np.isfinite(problem.told) & np.all(np.isfinite(problem.instruments), axis=0)
     places, values = list(free), problem.values.copy()
     if not places:
         return values, np.empty((0, 0)), 1
     scales = problem.scales[places]
+    columns = np.array([(_column(problem, at) * problem.scales[at])[known] for at in places]).T
+    instruments = np.array([(problem.instruments[at] * problem.scales[at])[known] for at in places]).T
+    motors = np.broadcast_to(np.arange(len(problem.told))[:, None], problem.told.shape)[known]
 
     def whole(part: Array) -> Array:
         found = values.copy()
@@ -108,21 +123,22 @@ def _solved(problem: Problem, free: Sequence[int]) -> tuple[Array, Array, int]:
         every = whole(part)
         return np.asarray((_model(problem, every) - problem.told * _scale(problem, every))[known])
 
-    columns = np.array([(_column(problem, at) * problem.scales[at])[known] for at in places]).T
-    motors = np.broadcast_to(np.arange(len(problem.told))[:, None], problem.told.shape)[known]
     part, weights = values[places] / scales, np.ones(len(columns))
     for _ in range(ROUNDS):
-        root = np.sqrt(weights)
-        part = least_squares(
-            lambda one, root=root: root * left(one), part, lambda _, root=root: root[:, None] * columns, x_scale="jac"
-        ).x
+        weighed = instruments * weights[:, None]
+        own, information = instruments.T @ weighed, weighed.T @ columns
+        if _singular(own) or _singular(information):
+            return whole(part), _nothing_known(information), 1
+        root = np.linalg.inv(np.linalg.cholesky(own)) @ weighed.T
+        part = least_squares(lambda one, root=root: root @ left(one), part, lambda _, root=root: root @ columns).x
         weights = _weights(left(part), motors)
     pieces = np.floor(problem.times / PIECE_S).astype(int)
     piece = np.broadcast_to(pieces, problem.told.shape)[known]
-    scores = weights[:, None] * columns * left(part)[:, None]
+    scores = weights[:, None] * instruments * left(part)[:, None]
     sums = np.array([np.sum(scores[piece == one], axis=0) for one in np.unique(piece)])
-    information = columns.T @ (weights[:, None] * columns)
-    covariance = _sandwich(information, sums)
+    bread = np.linalg.inv((instruments * weights[:, None]).T @ columns)
+    few = len(sums) / max(len(sums) - len(places), 1)  # residuals are smaller than errors by what was fitted to them
+    covariance = few * bread @ (sums.T @ sums) @ bread.T
     return whole(part), covariance * np.outer(scales, scales), len(sums)
 
 
@@ -136,17 +152,19 @@ def _weights(left: Array, motors: NDArray[np.int_]) -> Array:
     return found
 
 
-def _sandwich(information: Array, sums: Array) -> Array:
-    """Covariance; infinite where nothing is known."""
-    sizes = np.sqrt(np.diag(information))
-    if np.any(sizes == 0.0):
-        return np.diag(np.where(sizes == 0.0, np.inf, 0.0))
-    scaled = information / np.outer(sizes, sizes)
-    if np.linalg.cond(scaled) > SINGULAR:
-        vector = np.linalg.eigh(scaled)[1][:, 0] / sizes
-        return np.outer(vector, vector) * 1e30
-    bread = np.linalg.inv(scaled) / np.outer(sizes, sizes)
-    return np.asarray(len(sums) / max(len(sums) - 1, 1) * bread @ (sums.T @ sums) @ bread)
+def _singular(matrix: Array) -> bool:
+    """Whether it tells less than it has rows, each in its own measure."""
+    sizes = np.sqrt(np.abs(np.diag(matrix)))
+    return bool(np.any(sizes < TINY) or np.linalg.cond(matrix / np.outer(sizes, sizes)) > SINGULAR)
+
+
+def _nothing_known(information: Array) -> Array:
+    """A covariance without bounds, along what the instants tell least of."""
+    sizes = np.sqrt(np.abs(np.diag(information)))
+    if np.any(sizes < TINY):
+        return np.diag(np.where(sizes < TINY, np.inf, 0.0))
+    vector = np.linalg.svd(information / np.outer(sizes, sizes))[2][-1] / sizes
+    return np.asarray(np.outer(vector, vector) * 1e30)
 
 
 def _model(problem: Problem, values: Array) -> Array:
@@ -154,7 +172,16 @@ def _model(problem: Problem, values: Array) -> Array:
     return np.asarray(problem.rest + np.tensordot(values[linear], problem.columns[linear], axes=1))
 
 
+def _does(problem: Problem, values: Array, at: int) -> float:
+    """N m that a parameter makes, of what is mostly left over, of the motor that feels it most."""
+    left = np.abs(_model(problem, values) - problem.told * _scale(problem, values))
+    mostly = MAD * np.nanmedian(left, axis=1)
+    own = np.sqrt(np.nanmean(problem.instruments[at] ** 2, axis=1)) * max(abs(values[at]), problem.scales[at])
+    return float(np.max(own / np.maximum(mostly, TINY)))
+
+
 def _column(problem: Problem, at: int) -> Array:
+    """By how much the residuals grow with a parameter."""
     return -problem.told if problem.names[at] == problem.scale_of_torques else problem.columns[at]
 
 
@@ -164,9 +191,12 @@ def _scale(problem: Problem, values: Array) -> float:
     return float(values[list(problem.names).index(problem.scale_of_torques)])
 
 
-def _twin(problem: Problem, free: Sequence[int], at: int, covariance: Array) -> str | None:
-    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    alike = np.abs(covariance[at] / (spread * spread[at]))
+def _twin(problem: Problem, free: Sequence[int], at: int) -> str | None:
+    """The other parameter whose torques go along with those of this one."""
+    known = np.isfinite(problem.told) & np.all(np.isfinite(problem.instruments), axis=0)
+    columns = np.array([problem.instruments[one][known] for one in free])
+    sizes = np.maximum(np.linalg.norm(columns, axis=1), TINY)
+    alike = np.abs(columns @ columns[at]) / (sizes * sizes[at])
     alike[at] = 0.0
     other = int(np.argmax(alike))
     return problem.names[free[other]] if alike[other] >= TWINS else None

@@ -7,7 +7,8 @@ shifts the result a little: humps blunt corners, numbers come in steps, and a to
 second always meets the same moment between two commands, at which its speed loop pushes more or less than on average.
 So the same commands are driven once more on the simulated robot with what was found, the same numbers are taken from
 that drive, and what is left over there, where nothing but the measuring can be the cause, is taken off (indirect
-inference; Gourieroux, Monfort and Renault 1993). That is done `ROUNDS` times.
+inference; Gourieroux, Monfort and Renault 1993). That drive has no noise either, so its motion is the instrument of the
+fit: what did not move in it was not moved. That is done `ROUNDS` times.
 
 A torque told counts as true: nothing in a drive says whether a robot of twice the mass has motors of twice the torque
 constant. Where a mass is known, it is the torque constant that is found.
@@ -108,11 +109,12 @@ def _identified(drive: Drive, series: Sequence[Series], plant: PlantName, given:
     found = fit(look.problem, partial(_reason, look))
     likeness = 0
     for _ in range(ROUNDS):
-        left = _left_of_likeness(drive, series, plant, look, _values(robot, given, found))
-        if left is None:
+        again = _likeness(drive, series, plant, look, _values(robot, given, found))
+        if again is None:
             break
         likeness += 1
-        found = fit(look.problem._replace(told=look.problem.told - left), partial(_reason, look))
+        problem = look.problem._replace(told=look.problem.told - again.left, instruments=again.instruments)
+        found = fit(problem, partial(_reason, look))
     return _answer(drive, plant, given, look, found, likeness)
 
 
@@ -127,28 +129,36 @@ def _look(robot: RobotSection, series: Sequence[Series], plant: PlantName, given
     base = needs(robot, at.motion)
     at, abrupt = _not_abrupt(at, _joints(rows) @ base)
     names = [name for name in names_for(robot) if name not in given and name != TORQUE_SCALE]
-    columns, rest = [], base.copy()
-    for name in names:
-        more = max(abs(values[name]), 0.1)
-        column = (needs(with_values(robot, {name: values[name] + more}), at.motion) - base) / more
-        columns.append(column)
-        rest -= column * values[name]
+    columns = _columns(needs, robot, names, at)
+    rest = at.weighed(_joints(rows) @ base) - np.tensordot([values[name] for name in names], columns, axes=1)
     scaled = TORQUE_SCALE if "mass" in given and TORQUE_SCALE not in given else None
-    names += [scaled] if scaled else []
     told = _told(rows, at) * given.get(TORQUE_SCALE, 1.0)
-    weighed = [at.weighed(_joints(rows) @ column) for column in columns]
+    if scaled:
+        names, columns = [*names, scaled], np.concatenate((columns, -told[None]))
     problem = Problem(
         names,
         np.array([values[name] for name in names]),
         np.array([_noticed(name, values[name], told, at) for name in names]),
         np.array([PARAMETERS[name].least for name in names]),
-        np.array([*weighed, np.zeros_like(told)] if scaled else weighed),
-        at.weighed(_joints(rows) @ rest),
+        columns,
+        rest,
         told,
         at.at,
+        columns,
         scaled,
     )
     return _Look(problem, at, abrupt, needs)
+
+
+def _columns(needs: models.Forces, robot: RobotSection, names: Sequence[str], at: Moments) -> Array:
+    """N m of each joint by one of each parameter: exact, as every force is linear in them."""
+    joints, base, values = _joints(models.rows(robot)), needs(robot, at.motion), values_of(robot)
+    found = []
+    for name in names:
+        more = max(abs(values[name]), 0.1)
+        changed = with_values(robot, {name: values[name] + more})
+        found.append(at.weighed(joints @ (needs(changed, at.motion) - base)) / more)
+    return np.array(found)
 
 
 def _joints(rows: Array) -> Array:
@@ -179,14 +189,18 @@ def _noticed(name: str, value: float, told: Array, at: Moments) -> float:
     return max(value, {"joint_drag": least, "joint_friction": least / rates}.get(name, 1e-6))
 
 
-def _left_of_likeness(
-    drive: Drive, series: Sequence[Series], plant: PlantName, look: _Look, values: Mapping[str, float]
-) -> Array | None:
-    """N m told less needed, in the same drive of the simulated robot; NaN where that goes another way.
+class _Likeness(NamedTuple):
+    """`left`: N m told less needed, in the same drive of the simulated robot. NaN where that goes another way."""
 
-    None where it mostly does.
-    """
-    robot = with_values(drive.config.robot, values)
+    left: Array
+    instruments: Array
+
+
+def _likeness(
+    drive: Drive, series: Sequence[Series], plant: PlantName, look: _Look, values: Mapping[str, float]
+) -> _Likeness | None:
+    """None where it mostly goes another way."""
+    robot, problem = with_values(drive.config.robot, values), look.problem
     cycles = driven(
         drive,
         plant_with(drive.config.robot, plant, values),
@@ -202,11 +216,14 @@ def _left_of_likeness(
     need_then = look.moments.weighed(_joints(rows) @ look.needs(robot, look.moments.motion))
     need = at.weighed(_joints(rows) @ look.needs(robot, at.motion))
     most = ALIKE * np.sqrt(np.mean(need_then * need_then, axis=1, keepdims=True))
-    left = np.where(np.abs(need - need_then) < most, _told(rows, at) - need / values[TORQUE_SCALE], np.nan)
-    known = np.isfinite(look.problem.told)
-    if np.count_nonzero(np.isfinite(left) & known) < ENOUGH * np.count_nonzero(known):
+    alike, told = np.abs(need - need_then) < most, _told(rows, at)
+    known = np.isfinite(problem.told)
+    if np.count_nonzero(alike & known & np.isfinite(told)) < ENOUGH * np.count_nonzero(known):
         return None
-    return np.asarray(left)
+    instruments = _columns(look.needs, robot, [name for name in problem.names if name != TORQUE_SCALE], at)
+    if problem.scale_of_torques:
+        instruments = np.concatenate((instruments, -told[None]))
+    return _Likeness(np.where(alike, told - need / values[TORQUE_SCALE], np.nan), instruments)
 
 
 def begin_angles(series: Sequence[Series]) -> dict[str, float]:
@@ -224,7 +241,7 @@ def _reason(look: _Look, name: str, twin: str | None) -> str:
     """Why the drive does not tell it."""
     if twin is not None:
         return f"this drive does not tell it from {twin}: only both together show"
-    changes = look.moments.motion.changes
+    changes = look.moments.weighed(look.moments.motion.changes)
     turning = float(np.sqrt(np.mean(changes[-1] ** 2)))
     if name in {"inertia", "chassis_inertia"}:
         return f"the robot hardly changed its turning (rms {turning:.2g} rad/s^2): it resists nothing else"

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 GRID_S = 0.001
 HALF_S = 0.05  # of the hump, to either side, where torques are dense
-SPARSE_HALF_S = 0.03
+SPARSE_HALF_S = 0.05
 DENSE_S = 0.012  # between two torques, at most, of dense ones
 GAP_S = 0.03  # between two measurements of a speed, beyond which nobody knows what was between
 SLIP = 0.05  # m/s at the rim beyond which a wheel slips and does not only creep

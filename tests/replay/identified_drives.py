@@ -70,11 +70,13 @@ class Driven(NamedTuple):
     path: Path
 
 
-def text_of(name: str) -> str:
-    """The bundled robot file, with a chassis that is compensated."""
+def text_of(name: str, *, gentle: bool = True) -> str:
+    """The bundled robot file; `gentle`: of moby with a chassis that is compensated, and with half the acceleration."""
     text = robot_text(name)
-    assert name != "moby" or UNCOMPENSATED in text
-    assert HARD in text or name != "moby"
+    if name != "moby" or not gentle:
+        return text
+    assert UNCOMPENSATED in text
+    assert HARD in text
     return text.replace(UNCOMPENSATED, COMPENSATED).replace(HARD, GENTLE)
 
 
@@ -116,13 +118,20 @@ def drive(  # all that a drive may be
     noise: float = 0.0,
     seed: int = 0,
     settings: dict[str, float] | None = None,
+    torque_scale: float = 1.0,
 ) -> Driven:
-    """Ready, driven for so long, stopped. `settings` are asked for at the beginning."""
+    """Ready, driven for so long, stopped. `settings` are asked for at the beginning.
+
+    The controllers are tuned to the robot of the text, whatever the plant is. `torque_scale`: what acts of a torque.
+    """
     config = parse(text, "robot file")
     named = plant if isinstance(plant, PlantName) else None
     real = plant_of(config.robot, plant) if isinstance(plant, PlantName) else plant(config.robot)
     noisy: Any = Noisy(real, seed, rate=noise) if noise else real
-    loop = ClosedLoop(config, plant=noisy)
+    tuned = plant_of(config.robot, named or PlantName.SIMPLE).reflected_inertia
+    loop = ClosedLoop(config, plant=noisy, commissioned=tuned)
+    for motor in config.robot.motor_names():
+        loop.bus.robot.drivetrain(motor).gain = torque_scale
     folder.mkdir(parents=True, exist_ok=True)
     recording = SessionRecording(config, text, "robot file", directory=folder, started_wall_ns=WALL_NS, plant=named)
     cycles, period = list[Cycle](), loop.period_ns * 1e-9
