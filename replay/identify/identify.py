@@ -40,6 +40,7 @@ from replay.identify.parameters import (
     with_values,
 )
 from replay.sessions.reader import Session
+from replay.sim.plants import plant_of
 from replay.sim.plants.contract import PlantName
 
 Array = NDArray[np.float64]
@@ -88,11 +89,17 @@ def identify(
     drive = recorded(session)
     given = dict(known or {})
     _check_known(drive.config, given)
-    wanted = [plant or drive.plant] if plant or drive.plant else models.plants_of(drive.config.robot.kind)
+    chosen = plant or drive.plant
+    wanted = models.plants_of(drive.config.robot.kind) if chosen is None else [chosen]
     series = measured((inputs for inputs, _ in session.cycles()), drive.config)
-    candidates = [_identified(drive, series, one, given) for one in wanted if one is not None]
+    candidates, problems = [], []
+    for one in wanted:
+        try:
+            candidates.append(_identified(drive, series, one, given))
+        except IdentifyError as error:
+            problems.append(error)
     if not candidates:
-        raise IdentifyError(f"a robot of kind {drive.config.robot.kind} cannot be identified")
+        raise problems[0] if problems else IdentifyError(f"kind {drive.config.robot.kind} cannot be identified")
     return min(candidates, key=_fits)
 
 
@@ -121,6 +128,7 @@ def _identified(drive: Drive, series: Sequence[Series], plant: PlantName, given:
 def _look(robot: RobotSection, series: Sequence[Series], plant: PlantName, given: Mapping[str, float]) -> _Look:
     """Everything that the fit needs, in torques of the joints."""
     try:
+        plant_of(robot, plant)
         needs = models.forces(robot, plant)
     except ValueError as error:
         raise IdentifyError(str(error)) from None

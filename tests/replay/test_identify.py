@@ -4,6 +4,7 @@ Truth is what our plants, and MuJoCo's bodies, were made of; the encoders of our
 """
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -36,7 +37,7 @@ from replay.identify.parameters import (
 from replay.sessions.reader import open_session
 from replay.sim.controllers.contract import STEP_S
 from replay.sim.plants import plant_of
-from replay.sim.plants.contract import PlantName
+from replay.sim.plants.contract import Plant, PlantName
 from tests.replay import mujoco_plant
 from tests.replay.identified_drives import Driven, Twists, drive, pulled_twists, random_twists, text_of
 from tests.world import robot_text
@@ -190,6 +191,19 @@ def test_a_kind_without_equations_here_is_refused(tmp_path: Path) -> None:
     driven = drive(tmp_path, robot_text("odd"), random_twists(2, share=0.2), seconds=1.0, plant=PlantName.SIMPLE)
     with pytest.raises(IdentifyError, match="kind odd"):
         identify(open_session(driven.path))
+
+
+def test_without_a_caster_only_the_simple_plant_is_fitted(tmp_path: Path) -> None:
+    """And asked for the other one, it is refused with the reason."""
+    text = re.sub(r"^caster = .*$", "", robot_text("moby"), flags=re.M)
+
+    def simple(robot: OffsetDifferentialRobot) -> Plant:
+        return plant_of(robot, PlantName.SIMPLE)
+
+    session = open_session(drive(tmp_path, text, random_twists(1), seconds=4.0, plant=simple).path)
+    assert identify(session).file.plant == PlantName.SIMPLE.value
+    with pytest.raises(IdentifyError, match="caster is missing"):
+        identify(session, plant=PlantName.DYNAMICS)
 
 
 def test_seldom_torques_of_four_wheels_are_refused(omni: Driven) -> None:
