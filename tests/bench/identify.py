@@ -8,13 +8,26 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import msgspec
+
+from gateway.config import parse
 from replay.compare.likeness import Comparison, Moment, compare
 from replay.identify.closed import ClosedLoopWhatIf
 from replay.identify.identify import Identified, identify
-from replay.identify.parameters import TORQUE_SCALE, values_of
+from replay.identify.parameters import TORQUE_SCALE, Refused, values_of
 from replay.sessions.reader import open_session
 from replay.sim.plants.contract import PlantName
-from tests.replay.identified_drives import Driven, drive, pulled_twists, random_twists, text_of
+from tests.replay.identified_drives import (
+    MASS,
+    SLACK,
+    STIFF,
+    Driven,
+    drive,
+    heavy_omni,
+    pulled_twists,
+    random_twists,
+    text_of,
+)
 from tests.replay.mujoco_plant import MUJOCO_PLANTS
 
 NOISE = 0.003  # rad/s at the output, of every encoder
@@ -31,6 +44,7 @@ def main() -> None:
             coverage(Path(folder), name, plant, seeds)
         for name, setting in (("moby", {"compensation_gain": 1.2}), ("omni4", {"speed_override": 0.5})):
             predicted(Path(folder), name, setting)
+        heavier(Path(folder))
 
 
 def coverage(folder: Path, name: str, plant: PlantName, seeds: int) -> None:
@@ -77,6 +91,25 @@ def predicted(folder: Path, name: str, setting: Mapping[str, float]) -> None:
     )
     for words, one in rows:
         print(f"{name} {setting}: {words}: {in_words(one)}", flush=True)
+
+
+def heavier(folder: Path) -> None:
+    """A robot heavier than its file says, with a slack speed loop: by what was identified, and by the file."""
+    text, twists = text_of("omni4"), random_twists(4)
+    slack = text.replace(STIFF, SLACK)
+    then = drive(folder / "heavy-then", text, twists, seconds=6.0, plant=heavy_omni)
+    truly = drive(folder / "heavy-truly", slack, twists, seconds=6.0, plant=heavy_omni)
+    found = identify(open_session(then.path))
+    tell(f"omni4 of {MASS:g} kg", found, values_of(then.config.robot))
+    file = values_of(then.config.robot)
+    of_file = {name: Refused(value, "robot file") for name, value in file.items()}
+    by_file = msgspec.structs.replace(found.file, found={}, not_found=of_file)
+    for words, known in (("identified", found.file), ("in its file", by_file)):
+        question = ClosedLoopWhatIf(open_session(then.path), known, {}, parse(slack, "slack"))
+        for _ in question.steps():
+            pass
+        print(f"slack, by what is {words}: {in_words(question.effect)}", flush=True)
+    print(f"slack, truly: {in_words(compare(moments(then), moments(truly), then.config, 'heavy'))}", flush=True)
 
 
 def tell(name: str, found: Identified, file: Mapping[str, float]) -> None:

@@ -6,12 +6,15 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
+from gateway.chassis.omni import OmniRobot
 from gateway.config import RobotConfig, parse
 from gateway.types import ZERO_TWIST, Inputs, Outputs, Request, RequestKind, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.drive.recording import SessionRecording
+from replay.identify.parameters import with_values
 from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant, PlantName
+from tests.replay.mujoco_plant import MujocoPlant, omni
 from tests.world import robot_text
 
 WALL_NS = 1_790_000_000_000_000_000
@@ -24,6 +27,9 @@ COMPENSATED = "[robot.compensation]\ngain = 2.0\nregion = 1.57"
 # Harder, and the wheels of a robot this high leave the floor while its chassis turns.
 HARD = "acceleration = { vx = 0.8, vy = 0.8, wz = 1.0 }\njerk = { vx = 4.0, vy = 4.0, wz = 5.0 }"
 GENTLE = "acceleration = { vx = 0.4, vy = 0.4, wz = 0.5 }\njerk = { vx = 2.0, vy = 2.0, wz = 2.5 }"
+MASS = 40.0  # kg of an omni robot whose file says 25
+STIFF = "speed_loop = { kp = 3.5, ki = 14.0 }"
+SLACK = "speed_loop = { kp = 0.7, ki = 2.0 }"  # with which mass shows
 
 Twists = Callable[[float], Twist]
 Cycle = tuple[Inputs, Outputs]
@@ -78,6 +84,11 @@ def text_of(name: str, *, gentle: bool = True) -> str:
     assert UNCOMPENSATED in text
     assert HARD in text
     return text.replace(UNCOMPENSATED, COMPENSATED).replace(HARD, GENTLE)
+
+
+def heavy_omni(robot: OmniRobot) -> MujocoPlant:
+    """MuJoCo's omni robot, heavier than its file says."""
+    return omni(with_values(robot, {"mass": MASS}))
 
 
 def random_twists(seed: int, *, share: float = 1.0) -> Twists:

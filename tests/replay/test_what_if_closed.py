@@ -11,24 +11,30 @@ import pytest
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner, Result
 
-from gateway.chassis.omni import OmniRobot
 from gateway.cli.app import build
 from gateway.config import parse
 from gateway.types import Outputs, Twist
 from replay.compare.what_if import WhatIfError
 from replay.identify.closed import ClosedLoopWhatIf, Sides
 from replay.identify.identify import identify
-from replay.identify.parameters import ParameterFile, Refused, values_of, with_values
+from replay.identify.parameters import ParameterFile, Refused, values_of
 from replay.sessions.reader import SessionError, open_session
 from replay.sim.plants.contract import PlantName
 from tests.recordings import write_drive
 from tests.replay import mujoco_plant
-from tests.replay.identified_drives import Driven, Twists, drive, pulled_twists, random_twists, text_of
+from tests.replay.identified_drives import (
+    MASS,
+    SLACK,
+    STIFF,
+    Driven,
+    Twists,
+    drive,
+    heavy_omni,
+    pulled_twists,
+    random_twists,
+    text_of,
+)
 from tests.world import ROBOTS, World
-
-MASS = 40.0  # kg of an omni robot whose file says 25
-SLACK = "speed_loop = { kp = 0.7, ki = 2.0 }"
-STIFF = "speed_loop = { kp = 3.5, ki = 14.0 }"
 
 
 class Answered(NamedTuple):
@@ -79,26 +85,27 @@ def test_the_recorded_side_is_the_recording(pulled: Answered) -> None:
 
 
 def test_a_robot_heavier_than_its_file_is_predicted_with_what_was_identified(tmp_path: Path) -> None:
-    """A slack speed loop, with which mass shows."""
+    """A slack speed loop, with which mass shows. Measured: 0.505 m of change predicted, 0.508 true; 0.061 by its file.
+
+    The wheel speeds of the changed drive are predicted to 0.018 rad/s rms; by the file's mass to 1.05.
+    """
     text, twists = text_of("omni4"), random_twists(4)
     assert text.count(STIFF) == 4
     slack = text.replace(STIFF, SLACK)
-
-    def heavy(robot: OmniRobot) -> mujoco_plant.MujocoPlant:
-        return mujoco_plant.omni(with_values(robot, {"mass": MASS}))
-
-    then = drive(tmp_path / "then", text, twists, seconds=6.0, plant=heavy)
-    truly = drive(tmp_path / "truly", slack, twists, seconds=6.0, plant=heavy)
+    then = drive(tmp_path / "then", text, twists, seconds=6.0, plant=heavy_omni)
+    truly = drive(tmp_path / "truly", slack, twists, seconds=6.0, plant=heavy_omni)
     found = identify(open_session(then.path)).file
     assert found.values["mass"] == pytest.approx(MASS, rel=0.02)
     other = parse(slack, "slack")
     of_file = _file(values_of(then.config.robot))
-    known, unknown = (
-        _off_wheels(list(ClosedLoopWhatIf(open_session(then.path), one, {}, other).steps()), truly)
-        for one in (found, of_file)
-    )
-    assert known < 0.25 * unknown
-    assert unknown > 0.2, "rad/s: it matters"
+    questions = [ClosedLoopWhatIf(open_session(then.path), one, {}, other) for one in (found, of_file)]
+    known, unknown = (_off_wheels(list(one.steps()), truly) for one in questions)
+    assert known < 0.1 * unknown
+    assert unknown > 0.5, "rad/s: it matters"
+    true = apart(then.cycles[-1][1], truly.cycles[-1][1])
+    by_drive, by_file = (one.effect.end_m for one in questions)
+    assert by_drive == pytest.approx(true, rel=0.03)
+    assert abs(by_file - true) > 0.5 * true
 
 
 def test_a_drive_that_is_not_reproduced_is_not_to_be_trusted(pulled: Answered, tmp_path: Path) -> None:
