@@ -76,6 +76,10 @@ ROOMS: dict[str, set[str]] = {
     "replay/inject": {
         *("ground", "robot file", "gateway/control", "replay/sessions", "replay/drive", "replay/sim/plants"),
     },
+    "replay/identify": {
+        *("drivers", "ground", "robot file", "gateway/chassis", "gateway/control", "gateway/core"),
+        *("replay/sessions", "replay/compare", "replay/drive", "replay/sim/plants"),
+    },
     "replay/reproduce": {
         *(
             "ground",
@@ -123,6 +127,7 @@ PAGE_FILE = "replay/report/page.py"  # the only one that knows Jinja
 CAN_FILE = "gateway/edges/python_can.py"  # whence everybody else has python-can
 MF4_FILE = "replay/logs/mf4_files.py"  # the only one that knows asammdf, which is an extra
 MF4_USERS = {"replay/logs/export.py"}  # within a function: it cannot be imported without that extra
+FITTING_FILE = "replay/identify/fit.py"  # the only one that knows SciPy, which takes a third of a second to import
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 
@@ -209,6 +214,8 @@ def test_core_is_pure(path: Path) -> None:
     assert "jinja2" not in tops or name(path) == PAGE_FILE
     if name(path) != MF4_FILE:
         assert "asammdf" not in tops
+    if name(path) != FITTING_FILE:
+        assert "scipy" not in tops
     if "pydantic" in tops:
         assert name(path) in PYDANTIC_FILES or room(path) in PYDANTIC_ROOMS
 

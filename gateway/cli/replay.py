@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from gateway.cli import replay_bisect, replay_inject, replay_io, replay_report
+from gateway.cli import replay_bisect, replay_identify, replay_inject, replay_io, replay_report
 from gateway.cli.output import complain, console, print_json
 from gateway.cli.replay_files import repair
 from gateway.cli.replay_incidents import incidents
@@ -43,6 +43,7 @@ def _group() -> None:
 
 
 replay_bisect.register(replay)
+replay_identify.register(replay)
 replay_inject.register(replay)
 replay_io.register(replay)
 replay_report.register(replay)

@@ -1,7 +1,8 @@
-"""A drive as recorded and as it would have been commanded, side by side in one Rerun recording."""
+"""A drive as recorded and as it would have been, side by side in one Rerun recording."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 import rerun as rr
@@ -10,9 +11,7 @@ import rerun.blueprint as rrb
 from gateway.config import RobotConfig
 from gateway.core.channels import Layout, channels_of, entities, owners, plots
 from gateway.recording.schema import APPLICATION_ID, CYCLE
-from replay.compare.what_if import Step
 
-SIDES = ("recorded", "new")
 TIME = "time"  # s since the first recorded cycle
 PERIOD_S = 0.02  # of what is drawn, as in a session
 BATCH = 500  # points sent at once: memory stays flat
@@ -20,24 +19,36 @@ FLUSH_TIMEOUT_S = 10.0
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
 
 
-class Recording:
-    """Give it every step; use it as a context. Raises OSError at construction."""
+class Drawn(Protocol):
+    """A step: `t`, s since the first recorded cycle, and `cycle`; beside them the outputs of each side."""
 
-    def __init__(self, path: Path, name: str, config: RobotConfig, new: RobotConfig) -> None:
-        self._layouts = tuple(_layouts(robot) for robot in (config, new))
-        self._steps: list[Step] = []
+    @property
+    def t(self) -> float: ...
+    @property
+    def cycle(self) -> int: ...
+
+
+class Recording:
+    """Give it every step; use it as a context. `sides`: robots by the fields of a step that have their outputs.
+
+    Raises OSError at construction.
+    """
+
+    def __init__(self, path: Path, name: str, sides: Mapping[str, RobotConfig]) -> None:
+        self._layouts = {side: _layouts(robot) for side, robot in sides.items()}
+        self._steps: list[Drawn] = []
         self._next_t = 0.0
         self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=f"whatif-{name}", send_properties=False)
         try:
-            self._recording.save(path, default_blueprint=_blueprint(config))
+            self._recording.save(path, default_blueprint=_blueprint(sides))
         except RuntimeError as error:
             raise OSError(None, str(error)) from None
-        for side, layouts in zip(SIDES, self._layouts, strict=True):
+        for side, layouts in self._layouts.items():
             for entity, layout in layouts.items():
                 lines = rr.SeriesLines(names=[f"{label} {side}" for label in layout.labels])
                 self._recording.log(f"{side}/{entity}", lines, static=True)
 
-    def add(self, step: Step) -> None:
+    def add(self, step: Drawn) -> None:
         """Draw a step, if one is due."""
         if step.t >= self._next_t:
             self._next_t = step.t + PERIOD_S
@@ -60,7 +71,7 @@ class Recording:
             rr.TimeColumn(CYCLE, sequence=[step.cycle for step in steps]),
             rr.TimeColumn(TIME, duration=[step.t for step in steps]),
         ]
-        for side, layouts in zip(SIDES, self._layouts, strict=True):
+        for side, layouts in self._layouts.items():
             traces = [getattr(step, side).trace for step in steps]
             for entity, layout in layouts.items():
                 numbers = np.array([layout.row(trace) for trace in traces], np.float64)  # None: a hole in the line
@@ -74,11 +85,12 @@ def _layouts(config: RobotConfig) -> dict[str, Layout]:
     return {entity: layout for entity, layout in found.items() if layout.labels}
 
 
-def _blueprint(config: RobotConfig) -> rrb.Blueprint:
-    """Every plot of a session, as recorded beside as it would have been; the first of them has a place of its own."""
+def _blueprint(sides: Mapping[str, RobotConfig]) -> rrb.Blueprint:
+    """Every plot of the recorded session, one beside the other; the first of them has a place of its own."""
+    recorded = next(iter(sides.values()))
     wheels, *others = (
-        rrb.Horizontal(*(_plot(side, name, shown) for side in SIDES), name=name)
-        for name, shown in plots(channels_of(config)).items()
+        rrb.Horizontal(*(_plot(side, name, shown) for side in sides), name=name)
+        for name, shown in plots(channels_of(recorded)).items()
     )
     return rrb.Blueprint(
         rrb.Vertical(wheels, rrb.Tabs(*others, active_tab=0)),

@@ -16,7 +16,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -29,7 +29,7 @@ from gateway.recording.blueprint import blueprint
 from gateway.recording.disk import FOLDER_MODE, INCIDENTS, free_bytes, incidents, make_folder, new_incident, sync
 from gateway.recording.failures import RecordingOffError, WriterDeadError
 from gateway.recording.header import header
-from gateway.recording.incidents import WRITING_LIMIT_S, Order, Written
+from gateway.recording.incidents import Order, Written
 from gateway.recording.judge import judgement
 from gateway.recording.packets import Gap, Packet, Record, Snapshot, encode
 from gateway.recording.ring import packets
@@ -42,10 +42,14 @@ logger = logging.getLogger(__name__)
 UNFINISHED = ".part"
 BATCH_NS = 1_000_000_000
 NICE = 19
+STUCK_S = 60  # without any step, of some that take milliseconds on a computer at ease
 FIRST_TO_GO = "1000"  # of oom_score_adj
 UNKNOWN = "the state of the core behind them was not known to the recorder"
 _ENDED = 75  # EX_TEMPFAIL of sysexits.h
 _BAD_VALUE = (OverflowError, TypeError, ValueError)
+
+
+Alive = Callable[[], None]
 
 
 class IncidentError(Exception):
@@ -58,13 +62,16 @@ class _Batch(NamedTuple):
     snapshot: Snapshot | None
 
 
-def kept(order: Order) -> Written:
-    """Write it. Raises IncidentError, OSError, RecordingOffError, WriterDeadError."""
+def kept(order: Order, alive: Alive = lambda: None) -> Written:
+    """Write it; `alive` is called at every step.
+
+    Raises IncidentError, OSError, RecordingOffError, WriterDeadError.
+    """
     config = RobotConfig.model_validate_json(order.hello.config_json)
     first = next((packet for packet in _packets(order) if isinstance(packet, Record)), None)
     if first is None:
         raise IncidentError("no cycle of it was kept")
-    judged = judgement(config, _packets(order))
+    judged = judgement(config, _packets(order, alive))
     incident = msgspec.structs.replace(order.incident, judgement=judged)
     folder = Path(config.recording.directory) / INCIDENTS
     if not folder.exists():
@@ -82,32 +89,32 @@ def kept(order: Order) -> Written:
             cut_from=order.session,
             incident=incident,
         )
-        path = _stored(folder, name, config, told, order)
+        path = _stored(folder / name, config, told, _packets(order, alive))
     return Written(str(path.absolute()), judged.verdict, None)
 
 
-def _stored(folder: Path, name: str, config: RobotConfig, told: Header, order: Order) -> Path:
-    unfinished = folder / f"{name}{UNFINISHED}"
+def _stored(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet]) -> Path:
+    """`path`: without suffix."""
+    folder, unfinished = path.parent, path.with_name(f"{path.name}{UNFINISHED}")
     try:
         _make_room(folder, config, 0)
-        _write(unfinished, config, told, order)
+        _write(unfinished, config, told, found)
         sync(unfinished)
         _make_room(folder, config, unfinished.stat().st_size)
-        path = folder / f"{name}.rrd"
-        unfinished.rename(path)
+        finished = unfinished.rename(path.with_name(f"{path.name}.rrd"))
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
     sync(folder)
     sync(folder.parent)
-    return path
+    return finished
 
 
-def _write(path: Path, config: RobotConfig, told: Header, order: Order) -> None:
+def _write(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet]) -> None:
     rr.set_strict_mode(True)  # a mistake in a column is an error, not a warning and a hole
     segment = Segment(path, header=told, views=Views(config), blueprint=blueprint(config))
     last = told.first_cycle
-    for batch in _batches(_packets(order)):
+    for batch in _batches(found):
         if batch.snapshot is not None:
             segment.keep(batch.snapshot)
         _write_batch(segment, batch.records, batch.gaps)
@@ -130,16 +137,22 @@ def _write_batch(segment: Segment, records: Sequence[Record], gaps: Sequence[Gap
         _write_batch(segment, records[half:], ())
 
 
-def _packets(order: Order) -> Iterator[Packet]:
+def _packets(order: Order, alive: Alive = lambda: None) -> Iterator[Packet]:
     """Up to its last cycle; in front of all is said what is missing, if no state of the core leads to the first."""
     begins = True
-    for packet in chain.from_iterable(map(packets, order.pieces)):
+    for packet in chain.from_iterable(_unpacked(order, alive)):
         if isinstance(packet, Record) and packet.inputs.now_ns > order.end_ns:
             return
         if begins and isinstance(packet, Record) and packet.inputs.cycle > 0:
             yield Gap(0, packet.inputs.cycle - 1, UNKNOWN)
         begins = begins and isinstance(packet, Gap)
         yield packet
+
+
+def _unpacked(order: Order, alive: Alive) -> Iterator[Sequence[Packet]]:
+    for piece in order.pieces:
+        alive()
+        yield packets(piece)
 
 
 def _first_cycle(order: Order) -> int:
@@ -219,7 +232,7 @@ def main(given: int, answer: int) -> int:
     with os.fdopen(given, "rb") as file:
         order = msgspec.msgpack.decode(file.read(), type=Order)
     try:
-        written = kept(order)
+        written = kept(order, _live_on)
     except (IncidentError, RecordingOffError, WriterDeadError) as error:
         written = Written(None, None, str(error))
     except OSError as error:
@@ -233,17 +246,22 @@ def main(given: int, answer: int) -> int:
 
 
 def _step_back() -> None:
-    """Behind everything else that runs, and for no longer than is waited for: Rerun may block for ever on a full disk.
-
-    The kernel ends this process then; nothing written in Python could be relied on to notice.
-    """
+    """Behind everything else that runs, and ready to be ended."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
-    signal.alarm(round(WRITING_LIMIT_S))
+    _live_on()
     with contextlib.suppress(OSError):
         os.nice(NICE)
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO, encoding="ascii")
+
+
+def _live_on() -> None:
+    """The kernel ends this process if this is not called again in time: Rerun may block for ever on a full disk.
+
+    Nothing written in Python could be relied on to notice.
+    """
+    signal.alarm(STUCK_S)
 
 
 def _leave(code: int) -> NoReturn:

@@ -13,6 +13,7 @@ Times are those of the cycles. Nothing here knows Rerun.
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -36,6 +37,7 @@ PROGRAM = ("-m", "gateway.recording.bundle")
 MOST_WINDOWS = 4  # open, or waiting for the process of the one before
 WRITING_LIMIT_S = 300.0  # for one, of which it needs seconds on a computer at ease; then its process is ended
 ENDED_SILENTLY = "the process that writes it ended without a word (exit code {})"
+STUCK = "writing was stuck"
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -147,7 +149,7 @@ class WritingProcess:
         try:
             return msgspec.msgpack.decode(told, type=Written)
         except msgspec.DecodeError:
-            return Written(None, None, ENDED_SILENTLY.format(code))
+            return Written(None, None, STUCK if code == -signal.SIGALRM else ENDED_SILENTLY.format(code))
 
 
 class Incidents:

@@ -27,7 +27,7 @@ from replay.sessions.cycles import RecordedOutputs
 from replay.sessions.reader import Session
 
 OPEN_LOOP = "open loop: what the motors and sensors said is what they said then; a robot would have answered otherwise"
-_IDS = 1 << 62  # of our requests: nobody else counts as far
+OURS = 1 << 62  # ids of our requests begin here: nobody else counts as far
 
 
 class WhatIfError(ValueError):
@@ -61,6 +61,19 @@ class Change(NamedTuple):
     rms: float | None
 
 
+def settings_of(asked: Mapping[str, float], robot_file: RobotConfig | None, begin: float) -> dict[str, float]:
+    """The settings by their names. Raises WhatIfError for a question that no session answers."""
+    found = {name.replace(".", "_"): value for name, value in asked.items()}
+    problems = known.problems(found)
+    if problems:
+        raise WhatIfError("; ".join(problems))
+    if not found and robot_file is None:
+        raise WhatIfError("nothing to change: give a setting or another robot file")
+    if not (isfinite(begin) and begin >= 0.0):
+        raise WhatIfError(f"begin = {begin:g} s: must be 0 or more since the first recorded cycle")
+    return found
+
+
 class WhatIf:
     """Iterate over `steps`, then look at `changes`. Raises WhatIfError and ConfigError at construction."""
 
@@ -71,14 +84,7 @@ class WhatIf:
         robot_file: RobotConfig | None = None,
         begin: float = 0.0,
     ) -> None:
-        self.settings = {name.replace(".", "_"): value for name, value in asked.items()}
-        problems = known.problems(self.settings)
-        if problems:
-            raise WhatIfError("; ".join(problems))
-        if not self.settings and robot_file is None:
-            raise WhatIfError("nothing to change: give a setting or another robot file")
-        if not (isfinite(begin) and begin >= 0.0):
-            raise WhatIfError(f"begin = {begin:g} s: must be 0 or more since the first recorded cycle")
+        self.settings = settings_of(asked, robot_file, begin)
         self.config = parse(session.config_text, "robot file of the session")
         self.new_config = robot_file or self.config
         self.began = "not at all"  # where the changed core has its state from, in words
@@ -90,7 +96,7 @@ class WhatIf:
         self._engine: Engine | None = None
         self._set = False
         self._next = 0
-        self._sums = _Sums(self.config, self.new_config)
+        self._sums = Sums(self.config, self.new_config)
 
     @property
     def changes(self) -> list[Change]:
@@ -165,13 +171,13 @@ class WhatIf:
             return inputs
         self._set = True
         requests = [
-            Request(RequestKind.SET, _IDS + place, inputs.now_ns, setting=name, value=value)
+            Request(RequestKind.SET, OURS + place, inputs.now_ns, setting=name, value=value)
             for place, (name, value) in enumerate(self.settings.items())
         ]
         return inputs._replace(requests=(*inputs.requests, *requests))
 
     def _refused(self, outputs: Outputs) -> None:
-        refused = [str(reply.reason) for reply in outputs.replies if reply.id >= _IDS and not reply.ok]
+        refused = [str(reply.reason) for reply in outputs.replies if reply.id >= OURS and not reply.ok]
         if refused:
             raise WhatIfError("; ".join(refused))
 
@@ -204,8 +210,8 @@ class _Sum:
             self.largest, self.largest_t = size, t
 
 
-class _Sums:
-    """Channels that both robots have, and the fields of their frames."""
+class Sums:
+    """What differs from step to step, summed up: channels that both robots have, and the fields of their frames."""
 
     def __init__(self, config: RobotConfig, new: RobotConfig) -> None:
         self._words = FrameWords(config)
@@ -218,6 +224,7 @@ class _Sums:
         self._cycles = 0
 
     def add(self, step: Step) -> None:
+        """One more cycle."""
         self._cycles += 1
         before, after = (
             layout.row(outputs.trace) for layout, outputs in zip(self._layouts, (step.recorded, step.new), strict=True)
@@ -239,6 +246,7 @@ class _Sums:
         return self._sums.setdefault(key, _Sum(t))
 
     def changes(self) -> list[Change]:
+        """Everything that differed, in the order in which it first did."""
         found = [
             Change(
                 *key,
@@ -256,7 +264,7 @@ class _Sums:
 
 def _without_ours(outputs: Outputs) -> RecordedOutputs:
     """Without the answers to our requests, which are the last ones of their cycle, and the events that tell of them."""
-    replies = tuple(reply for reply in outputs.replies if reply.id < _IDS)
+    replies = tuple(reply for reply in outputs.replies if reply.id < OURS)
     ours = len(outputs.replies) - len(replies)
     told = [place for place, event in enumerate(outputs.events) if event.code == RequestKind.SET.value]
     left_out = told[len(told) - ours :]

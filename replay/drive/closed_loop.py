@@ -8,7 +8,7 @@ begins after it is a new engine that knows nothing: frames from before it are go
 stop, which outlives the process, reaches it as a request in its first cycle.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from gateway.config import RobotConfig
 from gateway.core.engine import Engine
@@ -25,7 +25,7 @@ class ClosedLoop:
     """Steps engine and world together; `bus` is there to break, `bus.robot.truth` to look at.
 
     `joint_angles`: where motors stand at the start, rad at the output from the joint's zero. `plant`: instead of the
-    one of this chassis kind.
+    one of this chassis kind; `commissioned`: as of `SimulatedRobot`.
     """
 
     def __init__(
@@ -35,9 +35,11 @@ class ClosedLoop:
         first_ns: int = FIRST_NS,
         joint_angles: Mapping[str, float] | None = None,
         plant: Plant | None = None,
+        commissioned: Sequence[float] | None = None,
     ) -> None:
         self.config = config
-        self.bus = SimulatedBus(config, SimulatedRobot(config, joint_angles, plant=plant))
+        robot = SimulatedRobot(config, joint_angles, plant=plant, commissioned=commissioned)
+        self.bus = SimulatedBus(config, robot)
         self.engine = Engine(config)
         self.period_ns = round(1e9 / config.loop.rate)
         self.next_ns = first_ns

@@ -64,16 +64,23 @@ class SimulatedRobot:
     `start` sets the time origin of the substeps.
 
     `joint_angles`: where motors stand before the start, rad at the output from the joint's zero. `plant`: instead of
-    the one of this chassis kind.
+    the one of this chassis kind. `commissioned`: kg m^2 felt at each joint of the robot that the controllers were tuned
+    on, where that is another one than the plant.
     """
 
     def __init__(
-        self, config: RobotConfig, joint_angles: Mapping[str, float] | None = None, *, plant: Plant | None = None
+        self,
+        config: RobotConfig,
+        joint_angles: Mapping[str, float] | None = None,
+        *,
+        plant: Plant | None = None,
+        commissioned: Sequence[float] | None = None,
     ) -> None:
         self._plant = plant_of(config.robot) if plant is None else plant
+        inertias = self._plant.reflected_inertia if commissioned is None else commissioned
         self._joints = tuple(
             _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
-            for motor, inertia in zip(config.motors_in_order(), self._plant.reflected_inertia, strict=True)
+            for motor, inertia in zip(config.motors_in_order(), inertias, strict=True)
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
         self.sensors = _sensors(config.sensor)

@@ -21,7 +21,7 @@ from gateway.recording import incidents as incidents_module
 from gateway.recording.bundle import IncidentError, clear, kept
 from gateway.recording.disk import INCIDENTS, incidents, new_incident
 from gateway.recording.incident import MOST_CAUSES, Cause, causes
-from gateway.recording.incidents import MOST_WINDOWS, Incidents, Order, WritingProcess, Written
+from gateway.recording.incidents import MOST_WINDOWS, STUCK, Incidents, Order, WritingProcess, Written
 from gateway.recording.packets import Gap, IncidentReport, Packet, Record, Snapshot, encode
 from gateway.recording.ring import LATE_NS, PIECE_BYTES, Ring, packets
 from gateway.types import (
@@ -378,18 +378,49 @@ def test_a_stuck_process_is_ended(order: Order, tmp_path: Path, monkeypatch: pyt
 LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
-from gateway.recording.bundle import _leave, main
-_leave(main(int(sys.argv[1]), int(sys.argv[2])))
+from gateway.recording import bundle
+bundle.STUCK_S = 5
+bundle._leave(bundle.main(int(sys.argv[1]), int(sys.argv[2])))
 """
 
 
 def test_a_disk_that_runs_full_while_it_writes(order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A real error of the kernel, as when the disk is full: it is told, and no half of a file is left."""
+    """A real error of the kernel, as when the disk is full: it is told, and nothing is taken for a whole file.
+
+    Rerun may be stuck then, for ever; what is left of it is cleared by the next.
+    """
     monkeypatch.setattr(incidents_module, "PROGRAM", ("-c", LIMITED))
     written = finished(WritingProcess(encode(into(order, tmp_path))))
     assert written.file is None
     assert written.error
-    assert left(tmp_path) == []
+    assert incidents(tmp_path / INCIDENTS, "moby") == []
+    assert left(tmp_path) == [] or written.error == STUCK
+    again = kept(into(order, tmp_path))
+    assert left(tmp_path) == [Path(str(again.file)).name]
+
+
+STUCK_PROGRAM = """
+import sys
+from gateway.recording import bundle
+from gateway.recording.segment import Segment
+
+def write(*_):  # a call that never returns and never lets go of the interpreter
+    sys.setswitchinterval(1e9)
+    while True:
+        pass
+
+Segment.write = write
+bundle.STUCK_S = 2
+bundle._leave(bundle.main(int(sys.argv[1]), int(sys.argv[2])))
+"""
+
+
+def test_one_that_is_stuck_in_writing_ends_itself(
+    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when nobody is there any more who would end it."""
+    monkeypatch.setattr(incidents_module, "PROGRAM", ("-c", STUCK_PROGRAM))
+    assert finished(WritingProcess(encode(into(order, tmp_path)))).error == STUCK
 
 
 def test_no_room_is_told_and_nothing_deleted_in_vain(order: Order, tmp_path: Path) -> None:

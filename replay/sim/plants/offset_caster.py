@@ -26,7 +26,7 @@ from replay.sim.plants.offset_equations import Force, Motion, OffsetEquations
 from replay.sim.plants.offset_parameters import JOINT, LEFT, RIGHT, SETS, OffsetParameters, trailing
 
 GRAVITY = 9.81  # m/s^2
-_DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
+DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
 _NO_SLIP = 1e-6  # rad/s
 _SAME_TORQUE = 1e-9  # N m by which traction may still change when it is settled
 _MAX_ROUNDS = 30
@@ -413,4 +413,4 @@ def _loaded(own: OffsetParameters, mass: float | None) -> OffsetParameters:
 
 def _softened(rate: float) -> float:
     """The size of a motion, but never near zero: dry friction fades towards rest. The root is exact everywhere."""
-    return sqrt(_DRAG_SPEED * _DRAG_SPEED + rate * rate)
+    return sqrt(DRAG_SPEED * DRAG_SPEED + rate * rate)

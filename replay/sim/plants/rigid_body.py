@@ -31,7 +31,7 @@ from gateway.types import Pose, Twist
 from replay.sim.controllers.contract import STEP_S
 
 Vector = tuple[float, float, float]
-_DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
+DRAG_SPEED = 0.05  # rad/s below which dry friction fades, so that a joint at rest stays there
 GRAVITY = 9.81  # m/s^2
 _NO_SLIP = 1e-6  # rad/s
 _SAME_TORQUE = 1e-9  # N m by which traction may still change when it is settled
@@ -209,7 +209,7 @@ class RigidBody:
         if not drag:
             return torques
         return [
-            torque if joint in self._spins else torque - drag * tanh(rate / _DRAG_SPEED)
+            torque if joint in self._spins else torque - drag * tanh(rate / DRAG_SPEED)
             for joint, (torque, rate) in enumerate(zip(torques, self.rates, strict=True))
         ]
 
@@ -320,7 +320,7 @@ def _after(velocity: Vector, rate: Sequence[float], seconds: float) -> Vector:
 
 def _softened(rate: float) -> float:
     """By what of a motion dry friction is to be divided that fades towards rest."""
-    return rate / tanh(rate / _DRAG_SPEED) if rate else _DRAG_SPEED
+    return rate / tanh(rate / DRAG_SPEED) if rate else DRAG_SPEED
 
 
 def _matrices(chassis: Chassis, free: Container[int]) -> _Matrices:
