@@ -10,12 +10,13 @@ Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mount
 driver's business: `gateway.control.transmission` applies them, once.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
 from drivers.setpoint import MotorCommand
+from drivers.sighting import Sighting
 
 FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # bytes that a CAN FD frame can carry (ISO 11898-1:2015)
 
@@ -220,4 +221,12 @@ class DriverType(Protocol):
 
     def __call__(self, bus: str, motors: Sequence[MotorSpec]) -> Driver:
         """Build the driver. Raises ValueError naming motor, key, value, allowed range and why."""
+        ...
+
+    def sighted(self, frame: CanFrame) -> list[Sighting]:
+        """What a frame of an unknown bus would be to these controllers, one for each way to read it; never raises."""
+        ...
+
+    def questions(self, bus: str, heard: Collection[int]) -> list[CanFrame]:
+        """Asks controllers who they are, and moves and changes nothing; `heard`: ids that were seen to be theirs."""
         ...

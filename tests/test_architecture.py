@@ -37,6 +37,7 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
+    "gateway/setup": {"drivers", "robot file"},
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
@@ -88,6 +89,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 PURE = (
     *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
     *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths"),
+    "gateway/setup",
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.

@@ -31,6 +31,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "stand": "stand",
     "set": "setting",
     "calibrate": "calibrate",
+    "setup": "setup",
     "demo": "demo",
     "sim": "sim",
     "scenario": "scenario",
