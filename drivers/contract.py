@@ -77,6 +77,7 @@ class Capabilities(NamedTuple):
     `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
     `coast`: released it rolls on; else its windings are as good as shorted, which brakes it while it turns.
     `speed_step`: rad/s at the shaft by which two measured speeds differ at least; None: not known.
+    `least_speed`: rad/s at the shaft; a slower one that is asked for only brakes.
     """
 
     velocity: bool = False
@@ -88,6 +89,7 @@ class Capabilities(NamedTuple):
     limit: bool = False
     device_watchdog: bool = False
     speed_step: float | None = None
+    least_speed: float = 0.0
 
 
 OptionValue = bool | int | float | str  # what the robot file can say in `options`

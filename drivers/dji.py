@@ -70,8 +70,6 @@ IDS: Final = {"c620": range(1, 9), "c610": range(1, 9), "gm6020": range(1, 8)}
 FEEDBACK_ID: Final = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}  # + id; C610 manual, p. 9; of a GM6020: taproot
 
 NAME: Final = "dji"
-VARIANTS: Final = tuple(IDS)
-FIRST_FOUR: Final = (0x200, 0x1FE)  # commands of ids 1 to 4 ...; 0x1FF is of 5 to 8, and of a GM6020's first four
 HOTTEST: Final = 150  # deg C that one may tell; source: ours
 
 AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
@@ -512,7 +510,7 @@ def _sighted(frame: CanFrame) -> list[Sighting]:
     if frame.extended or frame.remote or frame.fd:
         return []
     if frame.id in COMMAND_IDS:
-        return [Sighting(NAME, VARIANTS, at, "command", Evidence.COMMAND) for at in _commanded(frame)]
+        return _commanded(frame)
     found = []
     for first in sorted(set(FEEDBACK_ID.values())):
         variants = tuple([variant for variant, of in FEEDBACK_ID.items() if of == first])
@@ -521,13 +519,19 @@ def _sighted(frame: CanFrame) -> list[Sighting]:
     return found
 
 
-def _commanded(frame: CanFrame) -> list[int]:
-    """Ids whose slot is not 0; a slot that is 0 may be nobody's."""
+def _commanded(frame: CanFrame) -> list[Sighting]:
+    """Every motor that may be told something other than 0 here; a slot of 0 may be nobody's."""
     if len(frame.data) != _COMMAND.size:
         return []
-    first = 1 if frame.id in FIRST_FOUR else 1 + MOTORS_PER_FRAME
     raws: tuple[int, ...] = _COMMAND.unpack(frame.data)
-    return [first + place for place, raw in enumerate(raws) if raw]
+    found = []
+    for variant, modes in MODES.items():
+        for mode in modes.values():
+            if frame.id in mode.command_ids:
+                first = 1 + MOTORS_PER_FRAME * mode.command_ids.index(frame.id)
+                ids = [first + place for place, raw in enumerate(raws) if raw and first + place in IDS[variant]]
+                found += [Sighting(NAME, (variant,), at, "command", Evidence.COMMAND) for at in ids]
+    return found
 
 
 def _feedback_sighting(at: int, variants: tuple[str, ...], data: bytes) -> Sighting:

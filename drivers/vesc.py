@@ -522,7 +522,7 @@ class VescDriver:
     def capabilities(self) -> tuple[Capabilities, ...]:
         """All but a feed-forward and a limit: the speed loop of a VESC takes neither."""
         able = Capabilities(velocity=True, torque=True, voltage=True, brake=True, device_watchdog=True)
-        return (able,) * len(self._motors)
+        return tuple([able._replace(least_speed=motor.min_erpm / motor.erpm_per_rad_s) for motor in self._motors])
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""

@@ -37,7 +37,7 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
-    "gateway/setup": {"drivers", "robot file"},
+    "gateway/setup": {"drivers", "robot file", "gateway/control", "gateway/core"},
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
