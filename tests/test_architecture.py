@@ -37,7 +37,7 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
-    "gateway/setup": {"drivers", "robot file", "gateway/control", "gateway/core"},
+    "gateway/setup": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/control", "gateway/core"},
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
@@ -104,7 +104,7 @@ RERUN_ROOMS = ("gateway/recording", "replay/sessions", COMPOSITION_ROOT)
 PYDANTIC_FILES = {
     *("gateway/sections.py", "gateway/config.py", "gateway/edges/messages.py", "replay/drive/scenario_file.py"),
     "replay/inject/injection.py",
-    "gateway/paths/path_file.py",
+    *("gateway/paths/path_file.py", "gateway/setup/fields.py"),
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib
