@@ -530,23 +530,29 @@ def _commanded(frame: CanFrame) -> list[Sighting]:
             if frame.id in mode.command_ids:
                 first = 1 + MOTORS_PER_FRAME * mode.command_ids.index(frame.id)
                 ids = [first + place for place, raw in enumerate(raws) if raw and first + place in IDS[variant]]
-                found += [Sighting(NAME, (variant,), at, "command", Evidence.COMMAND) for at in ids]
+                found += [_sighting((variant,), at, "command", Evidence.COMMAND) for at in ids]
     return found
 
 
 def _feedback_sighting(at: int, variants: tuple[str, ...], data: bytes) -> Sighting:
     if len(data) != _COMMAND.size:
-        return Sighting(NAME, variants, at, "feedback", Evidence.AGAINST)
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
     angle_ticks, speed_rpm, _, temperature = _feedback(data)
     if angle_ticks >= TICKS or data[7] != 0 or temperature > HOTTEST:
-        return Sighting(NAME, variants, at, "feedback", Evidence.AGAINST)
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
     # A C610 has no sensor and says 0; all others say what the room has at least, unless that freezes.
     able = tuple([one for one in variants if _senses_temperature(one) is (temperature > 0)])
     if not able:
-        return Sighting(NAME, variants, at, "feedback", Evidence.AGAINST)
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
     told = () if temperature == 0 else (("temperature", f"{temperature} deg C"),)
     angle, speed = angle_ticks * RAD_PER_TICK, speed_rpm * RAD_S_PER_RPM
-    return Sighting(NAME, able, at, "feedback", Evidence.PROOF, told, angle, speed, tau)
+    seen = _sighting(able, at, "feedback", Evidence.PROOF)
+    return seen._replace(told=told, angle=angle, velocity=speed, turn=tau)
+
+
+def _sighting(variants: tuple[str, ...], at: int, message: str, evidence: Evidence) -> Sighting:
+    """C620 and C610 are numbered together, a GM6020 by itself: by where their feedback begins."""
+    return Sighting(NAME, variants, at, message, evidence, numbering=f"0x{FEEDBACK_ID[variants[0]]:X}")
 
 
 def _senses_temperature(variant: str) -> bool:

@@ -18,7 +18,8 @@ class Sighting(NamedTuple):
 
     `variants`: which of the driver it may be of; `told`: what it tells in words, by name. `angle`: rad at the motor
     shaft, positive as the driver counts it; of a controller that counts turns of the field alone it is that of 7 pole
-    pairs. `turn`: rad after which the angle begins anew; None: it never does.
+    pairs. `turn`: rad after which the angle begins anew; None: it never does. `numbering`: one word for
+    all of the driver's controllers that share their ids; those with another word may have the same id and be others.
     """
 
     driver: str
@@ -30,3 +31,4 @@ class Sighting(NamedTuple):
     angle: float | None = None
     velocity: float | None = None  # rad/s
     turn: float | None = None
+    numbering: str = ""

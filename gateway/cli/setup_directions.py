@@ -90,8 +90,9 @@ def _heard(config: RobotConfig, bus: Bus) -> Directions:
     census = Census()
     place = Place(bus.interface, bus.channel, bus.bitrate)
     listen(place, LISTEN_S, lambda frame: census.take([frame]))
-    known = [(motor.driver, motor.variant, motor.id) for motor in config.motor if motor.bus == bus.name]
-    report = census.report(LISTEN_S, known)
+    # Whatever their ids are, they are of the kinds that the robot file says.
+    kinds = {(motor.driver, motor.variant) for motor in config.motor if motor.bus == bus.name}
+    report = census.report(LISTEN_S, {(driver, kind, at) for driver, kind in kinds for at in census.heard(driver)})
     if report.conflicts:
         raise DirectionsError(f"{bus.name}: {'; '.join(report.conflicts)}")
     found = Directions(config, bus.name, report.found)
@@ -165,7 +166,7 @@ def _noted(found: Directions, motor: str, turned: Turned) -> None:
         complain(f"{', '.join(turned.others)} moved too: lift the wheels, and turn one alone")
         return
     try:
-        found.note(Device(turned.driver, turned.id), motor, 1 if turned.way > 0.0 else -1)
+        found.note(Device(turned.driver, turned.variants, turned.id), motor, 1 if turned.way > 0.0 else -1)
     except FindingError as error:
         complain(str(error))
     else:

@@ -19,6 +19,7 @@ class Turned(NamedTuple):
     """A controller whose shaft was turned, rad at the shaft; `others`: that moved too, so it is not sure."""
 
     driver: str
+    variants: tuple[str, ...]
     id: int
     way: float
     others: tuple[str, ...]
@@ -27,7 +28,8 @@ class Turned(NamedTuple):
 class _Shaft:
     """One controller's angle, all turns counted."""
 
-    def __init__(self, angle: float, now_ns: int) -> None:
+    def __init__(self, variants: tuple[str, ...], angle: float, now_ns: int) -> None:
+        self.variants = variants
         self.way = 0.0
         self.moved_ns = now_ns
         self._angle = angle
@@ -52,7 +54,7 @@ class HandWatch:
 
     def __init__(self, kinds: Collection[Kind]) -> None:
         self._kinds = frozenset(kinds)
-        self._shafts: dict[tuple[str, int], _Shaft] = {}
+        self._shafts: dict[tuple[str, int, str], _Shaft] = {}
         self._now_ns = 0
         self.gear_ratio = 1.0
 
@@ -74,8 +76,8 @@ class HandWatch:
     def _see(self, sighting: Sighting) -> None:
         if sighting.angle is None:
             return
-        key = (sighting.driver, sighting.id)
-        shaft = self._shafts.setdefault(key, _Shaft(sighting.angle, self._now_ns))
+        key = (sighting.driver, sighting.id, sighting.numbering)
+        shaft = self._shafts.setdefault(key, _Shaft(sighting.variants, sighting.angle, self._now_ns))
         shaft.take(sighting, sighting.angle, self._now_ns, MOVE * self.gear_ratio)
 
     def turned(self) -> Turned | None:
@@ -85,6 +87,6 @@ class HandWatch:
             return None
         if any(self._now_ns - shaft.moved_ns < REST_NS for _, shaft in ways):
             return None
-        (driver, at), first = ways[0]
+        (driver, at, _), first = ways[0]
         others = [key for key, shaft in ways[1:] if abs(shaft.way) > OTHERS * abs(first.way)]
-        return Turned(driver, at, first.way, tuple(f"{name} id {other}" for name, other in others))
+        return Turned(driver, first.variants, at, first.way, tuple(f"{name} id {other}" for name, other, _ in others))

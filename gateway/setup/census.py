@@ -70,6 +70,9 @@ class Report(NamedTuple):
     commanded: tuple[str, ...]
 
 
+_Key = tuple[str, int, str]  # driver, id, numbering
+
+
 class _Seen:
     """What is known of one id of one protocol."""
 
@@ -120,7 +123,7 @@ class Census:
     """Takes frames in the order of their stamps."""
 
     def __init__(self) -> None:
-        self._seen: dict[tuple[str, int], _Seen] = {}
+        self._seen: dict[_Key, _Seen] = {}
         self._arrived: dict[tuple[int, bool], tuple[list[int], bytes]] = {}  # stamps and last data, by CAN id
         self._frames = 0
 
@@ -132,7 +135,7 @@ class Census:
 
     def heard(self, driver: str) -> list[int]:
         """Ids of this driver that are proven."""
-        return sorted(at for (name, at), seen in self._seen.items() if name == driver and seen.proven)
+        return sorted(at for (name, at, _), seen in self._seen.items() if name == driver and seen.proven)
 
     def report(self, seconds: float, known: Collection[Known] = ()) -> Report:
         """After so many seconds. `known`: by the robot file; where a frame has several readings those are the true."""
@@ -149,7 +152,7 @@ class Census:
     def _take(self, frame: CanFrame, received_ns: int) -> None:
         sightings = [one for driver in DRIVERS.values() for one in driver.sighted(frame)]
         for sighting in sightings:
-            key = (sighting.driver, sighting.id)
+            key = (sighting.driver, sighting.id, sighting.numbering)
             self._seen.setdefault(key, _Seen(sighting)).take(sighting, frame, received_ns)
         if not frame.remote:
             arrivals, _ = self._arrived.get((frame.id, frame.extended), ([], b""))
@@ -157,8 +160,8 @@ class Census:
             del arrivals[:-KEPT]
             self._arrived[frame.id, frame.extended] = (arrivals, frame.data)
 
-    def _found(self, key: tuple[str, int]) -> Found:
-        seen, (driver, at) = self._seen[key], key
+    def _found(self, key: _Key) -> Found:
+        seen, (driver, at, _) = self._seen[key], key
         variants = tuple(one for one in DRIVERS[driver].variants if one in seen.variants)
         told = tuple((name, value) for name, value in seen.told.items() if value)
         commanded = seen.counts[Evidence.COMMAND] > 0
@@ -178,7 +181,7 @@ class Census:
 
     def _twins(self) -> list[str]:
         words = []
-        for (driver, at), seen in sorted(self._seen.items()):
+        for (driver, at, _), seen in sorted(self._seen.items(), key=lambda item: item[0]):
             if not seen.proven:
                 continue
             if seen.twin:
@@ -202,7 +205,7 @@ class Census:
         words = {can_id for one in found for can_id in one.can_ids}
         return [
             f"{_ids(seen.commands - words)} would command {driver} id {at}, which does not answer; or nobody knows it"
-            for (driver, at), seen in sorted(self._seen.items())
+            for (driver, at, _), seen in sorted(self._seen.items(), key=lambda item: item[0])
             if not seen.proven and seen.commands - words
         ]
 

@@ -21,7 +21,12 @@ class Device(NamedTuple):
     """A controller that a motor of the robot file may have."""
 
     driver: str
+    variants: tuple[str, ...]  # that it can be
     id: int
+
+    def may_be_of(self, motor: Motor) -> bool:
+        """Whether a motor of the robot file says such a controller, whatever its id."""
+        return motor.driver == self.driver and motor.variant in self.variants
 
     @property
     def name(self) -> str:
@@ -64,7 +69,8 @@ class Directions:
     def __init__(self, config: RobotConfig, bus: str, found: Sequence[Found]) -> None:
         self._config = config
         self._motors = [motor for motor in config.motors_in_order() if motor.bus == bus]
-        self.devices = tuple(Device(one.driver, one.id) for one in found if self._may_be_ours(one))
+        every = [Device(one.driver, one.variants, one.id) for one in found]
+        self.devices = tuple(one for one in every if any(map(one.may_be_of, self._motors)))
         self.findings: dict[str, Finding] = {}
         self.idle: list[Device] = []  # that turned nothing
 
@@ -79,12 +85,14 @@ class Directions:
         return tuple(motor.name for motor in self._motors if motor.name not in self.findings)
 
     def trials(self) -> Iterable[Trial]:
-        """One for each controller, made when it is asked for: answers tell what may still be whose."""
-        for device in self.devices:
+        """One for each controller, as long as a motor is missing: what else is on the bus may be somebody's arm.
+
+        Made when it is asked for: answers tell what may still be whose. Those that the robot file names come first.
+        """
+        for device in sorted(self.devices, key=lambda one: not self._named(one)):
             motor = self._guess(device)
-            if motor is not None:
-                guess = (motor.driver, motor.id) == device
-                yield Trial(device, self._config_for(device, motor), motor.name, guess)
+            if self.missing and motor is not None:
+                yield Trial(device, self._config_for(device, motor), motor.name, motor.id == device.id)
 
     def nothing_turned(self, device: Device) -> None:
         """So said who watches."""
@@ -100,16 +108,16 @@ class Directions:
             raise FindingError(f"{motor}: no such motor on this bus; there is {', '.join(self.names)}")
         if motor in self.findings:
             raise FindingError(f"{motor}: {self.findings[motor].device.name} turned it already")
-        if wheel.driver != device.driver:
-            raise FindingError(f"{motor}: has a controller of {wheel.driver} in the robot file, not {device.name}")
+        if not device.may_be_of(wheel):
+            kind = f"{wheel.driver} {wheel.variant}"
+            raise FindingError(f"{motor}: has a controller of {kind} in the robot file, which {device.name} is not")
         self.findings[motor] = Finding(device, direction)
 
     def changes(self) -> list[Change]:
         """What the robot file gets wrong. Raises FindingError where not enough is known to write it."""
-        taken = {(finding.device.driver, finding.device.id): name for name, finding in self.findings.items()}
         for motor in self._motors:
-            owner = taken.get((motor.driver, motor.id), motor.name)
-            if motor.name not in self.findings and owner != motor.name:
+            owner = self._owner(motor)
+            if motor.name not in self.findings and owner is not None:
                 raise FindingError(f"motor {motor.name} was not found, and its id {motor.id} is that of {owner}")
         return [
             Change(motor.name, key, old, new)
@@ -119,25 +127,33 @@ class Directions:
             if old != new
         ]
 
+    def _owner(self, motor: Motor) -> str | None:
+        """Which motor was found to have the id that the file gives this one."""
+        return next(
+            (name for name, (device, _) in self.findings.items() if device.id == motor.id and device.may_be_of(motor)),
+            None,
+        )
+
     @staticmethod
     def _compared(motor: Motor, finding: Finding) -> list[tuple[str, int, int]]:
         return [("id", motor.id, finding.device.id), ("direction", motor.direction, finding.direction)]
 
-    def _may_be_ours(self, found: Found) -> bool:
-        return any(motor.driver == found.driver and motor.variant in found.variants for motor in self._motors)
+    def _named(self, device: Device) -> bool:
+        return any(device.may_be_of(motor) and device.id == motor.id for motor in self._motors)
 
     def _guess(self, device: Device) -> Motor | None:
         """The motor that the file gives it to; else one whose controller does not answer, or any that is left."""
-        alike = [motor for motor in self._motors if motor.driver == device.driver]
+        alike = [motor for motor in self._motors if device.may_be_of(motor)]
         left = [motor for motor in alike if motor.name not in self.findings] or alike
-        answering = {(one.driver, one.id) for one in self.devices}
-        silent = [motor for motor in left if (motor.driver, motor.id) not in answering]
+        silent = [
+            motor for motor in left if not any(one.may_be_of(motor) and one.id == motor.id for one in self.devices)
+        ]
         named = [motor for motor in left if motor.id == device.id]
         return next(iter([*named, *silent, *left]), None)
 
     def _config_for(self, device: Device, chosen: Motor) -> RobotConfig:
         """The robot file in which this motor has that id, and turns no wheel that it may have too fast or too hard."""
-        alike = [motor for motor in self._motors if motor.driver == device.driver]
+        alike = [motor for motor in self._motors if device.may_be_of(motor)]
         ratio = min(motor.gear_ratio for motor in alike)
         torque = ratio * min(motor.max_torque / motor.gear_ratio for motor in alike)
         motors = []
@@ -145,7 +161,7 @@ class Directions:
             one = motor
             if motor.name == chosen.name:
                 one = motor.model_copy(update={"id": device.id, "gear_ratio": ratio, "max_torque": torque})
-            elif (motor.driver, motor.bus, motor.id) == (device.driver, chosen.bus, device.id):
+            elif motor.bus == chosen.bus and motor.id == device.id and device.may_be_of(motor):
                 one = motor.model_copy(update={"id": chosen.id})
             motors.append(one)
         return self._config.model_copy(update={"motor": motors})

@@ -91,7 +91,7 @@ def by_hand(true: str, wrong: str) -> str:
         found = turned_by_hand(bench, watch, motor.name, 1.5)
         assert found is not None
         assert found.others == ()
-        directions.note(Device(found.driver, found.id), motor.name, 1 if found.way > 0.0 else -1)
+        directions.note(Device(found.driver, found.variants, found.id), motor.name, 1 if found.way > 0.0 else -1)
     assert bench.sent == []
     return corrected(wrong, directions.changes(), "wrong")
 
@@ -166,6 +166,13 @@ def test_other_controllers_too(name: str) -> None:
         assert parse(found, name) == parse(true, name)
 
 
+def test_a_gm6020_is_another_than_a_c620_of_the_same_id() -> None:
+    """A C620 of id 7 speaks as a GM6020 of id 3 would."""
+    true = TRUE["rectangular"]().replace("id = 4 ", "id = 3 ")
+    wrong = wronged(true, {"rear_right": 4}, {})
+    assert driven(true, wrong) == true == by_hand(true, wrong)
+
+
 @pytest.mark.parametrize("way", [1.5, -1.5])
 def test_a_wheel_turned_backwards_is_seen_to_be(way: float) -> None:
     config = config_of("rectangular")
@@ -203,30 +210,42 @@ def test_a_controller_that_no_motor_can_have_is_not_turned() -> None:
     assert directions.missing == ("front", "rear_left", "rear_right")
 
 
+def test_what_is_not_needed_is_not_turned() -> None:
+    config = config_of("kiwi")
+    named = Found("odrive", ("0.6",), 9, (), None, (), commanded=False)
+    directions = Directions(config, BUS, [named._replace(id=at) for at in (1, 2, 3, 5, 9)])
+    trials = iter(directions.trials())
+    for motor in ("rear_left", "front", "rear_right"):
+        trial = next(trials)
+        assert (trial.motor, trial.guess) == (motor, True)
+        directions.note(trial.device, motor, 1)
+    assert list(trials) == []
+
+
 def test_what_was_not_found_keeps_its_id_unless_that_is_another_s() -> None:
     config = config_of("mobyish")
     bench = Bench(config)
     found = found_on(bench, config)
     directions = Directions(config, BUS, found)
-    directions.note(Device("odrive", 1), "left", 1)
+    directions.note(Device("odrive", ("0.6",), 1), "left", 1)
     assert directions.changes() == [Change("left", "direction", -1, 1)]
-    directions.note(Device("odrive", 3), "platform", 1)
+    directions.note(Device("odrive", ("0.6",), 3), "platform", 1)
     with pytest.raises(FindingError, match="motor right was not found, and its id 3 is that of platform"):
         directions.changes()
 
 
 def test_what_cannot_be_is_refused() -> None:
     directions = Directions(config_of("mobyish"), BUS, ())
-    directions.note(Device("odrive", 1), "left", 1)
+    directions.note(Device("odrive", ("0.6",), 1), "left", 1)
     with pytest.raises(FindingError, match="turned it already"):
-        directions.note(Device("odrive", 2), "left", 1)
+        directions.note(Device("odrive", ("0.6",), 2), "left", 1)
     with pytest.raises(FindingError, match="no such motor on this bus"):
-        directions.note(Device("odrive", 2), "wing", 1)
-    with pytest.raises(FindingError, match="not vesc id 2"):
-        directions.note(Device("vesc", 2), "right", 1)
+        directions.note(Device("odrive", ("0.6",), 2), "wing", 1)
+    with pytest.raises(FindingError, match="which vesc id 2 is not"):
+        directions.note(Device("vesc", ("vesc",), 2), "right", 1)
 
 
-TRIAL = Trial(Device("odrive", 1), config_of("mobyish"), "left", guess=True)
+TRIAL = Trial(Device("odrive", ("0.6",), 1), config_of("mobyish"), "left", guess=True)
 NAMES = ("left", "right", "platform")
 
 

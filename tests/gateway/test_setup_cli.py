@@ -173,6 +173,7 @@ def test_ctrl_c_ends_it(stand: Callable[..., Stand]) -> None:
 
 
 SWAPPED = {"left": 3, "right": 1}
+WRONG_IDS = {"front_left": 2, "front_right": 1, "rear_right": 5}  # really 7, as which a GM6020 of id 3 would speak too
 
 
 def test_directions_by_turning(stand: Callable[..., Stand]) -> None:
@@ -191,7 +192,7 @@ def test_directions_by_turning(stand: Callable[..., Stand]) -> None:
 
 
 def test_directions_by_hand(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
-    one = stand("rectangular", lambda text: wronged(text, {"front_left": 2, "front_right": 1}, {"rear_left": -1}))
+    one = stand("rectangular", lambda text: wronged(text, WRONG_IDS, {"rear_left": -1}))
     names = [motor.name for motor in one.config.motors_in_order()]
 
     def told(text: str, **_: object) -> None:
