@@ -8,7 +8,7 @@ from gateway.cli.setup_new import new
 from gateway.cli.setup_scan import scan
 
 setup = typer.Typer(no_args_is_help=True, help="From a box of parts to a first safe motion, step by step.")
-setup.command()(scan)
 setup.command()(new)
-setup.command()(jog)
+setup.command()(scan)
 setup.command()(directions)
+setup.command()(jog)

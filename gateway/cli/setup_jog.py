@@ -12,7 +12,7 @@ from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import refuse_where_commanded
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
-from gateway.setup.jog import USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
+from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
 from gateway.setup.words import positive_ways
 
 EXIT_REFUSED = 1
@@ -53,7 +53,7 @@ def run(config: RobotConfig, procedure: Jog) -> Outcome:
     buses, ending = CanBuses(alone), EndRequest()
     try:
         with ending.heeded():
-            turn(buses, procedure, ending, period_ns=round(1e9 / config.loop.rate))
+            turn(buses, procedure, ending, period_ns=min(round(1e9 / config.loop.rate), PERIOD_NS))
     finally:
         buses.close()
     if procedure.outcome is None:

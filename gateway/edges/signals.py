@@ -78,7 +78,8 @@ class EndRequest:
             yield
         finally:
             for number, handler in before.items():
-                signal.signal(number, handler)
+                if handler is not None:  # else it was no handler of Python's, and cannot be put back
+                    signal.signal(number, handler)
 
     def ask(self, by: str) -> None:
         """The first request counts."""

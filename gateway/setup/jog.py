@@ -38,6 +38,7 @@ KP_SHARE, KI_SHARE = 0.1, 0.5  # of a speed loop of ours, which is tuned to a wh
 RAMP: Final = 0.25  # of the time: the speed rises, and falls, for so long
 LEAST_REPORTS: Final = 50.0  # Hz; three of them within SILENCE_NS
 
+PERIOD_NS: Final = 10_000_000  # at most between two steps, also where the robot's own loop is slower
 LISTEN_NS: Final = 250_000_000
 WAKE_NS: Final = 4_000_000_000  # controllers whose command timeout is looked at first take 2 s
 ARM_NS: Final = 3_000_000_000
