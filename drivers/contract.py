@@ -10,12 +10,13 @@ Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mount
 driver's business: `gateway.control.transmission` applies them, once.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
 from drivers.setpoint import MotorCommand
+from drivers.sighting import Sighting
 
 FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # bytes that a CAN FD frame can carry (ISO 11898-1:2015)
 
@@ -76,6 +77,7 @@ class Capabilities(NamedTuple):
     `feed_forward` and `limit`: of a velocity command, with every command and at once; see `MotorCommand`.
     `coast`: released it rolls on; else its windings are as good as shorted, which brakes it while it turns.
     `speed_step`: rad/s at the shaft by which two measured speeds differ at least; None: not known.
+    `least_speed`: rad/s at the shaft; a slower one that is asked for only brakes.
     """
 
     velocity: bool = False
@@ -87,6 +89,7 @@ class Capabilities(NamedTuple):
     limit: bool = False
     device_watchdog: bool = False
     speed_step: float | None = None
+    least_speed: float = 0.0
 
 
 OptionValue = bool | int | float | str  # what the robot file can say in `options`
@@ -221,4 +224,12 @@ class DriverType(Protocol):
 
     def __call__(self, bus: str, motors: Sequence[MotorSpec]) -> Driver:
         """Build the driver. Raises ValueError naming motor, key, value, allowed range and why."""
+        ...
+
+    def sighted(self, frame: CanFrame) -> list[Sighting]:
+        """What a frame of an unknown bus would be to these controllers, one for each way to read it; never raises."""
+        ...
+
+    def questions(self, bus: str, heard: Collection[int]) -> list[CanFrame]:
+        """Asks controllers who they are, and moves and changes nothing; `heard`: ids that were seen to be theirs."""
         ...

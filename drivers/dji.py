@@ -23,7 +23,7 @@ angle is absolute within one turn of it. Turns are counted from the first frame 
 they begin anew, and with them what lies behind a gear.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import ceil, isnan, pi, tau
 from struct import Struct
 from typing import ClassVar, Final, NamedTuple
@@ -53,6 +53,7 @@ from drivers.contract import (
 )
 from drivers.records import data_frame, maker
 from drivers.setpoint import CommandKind, MotorCommand
+from drivers.sighting import Evidence, Sighting
 from drivers.twins import TwinWatch, twin_fault
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -67,6 +68,9 @@ MOTORS_PER_FRAME: Final = 4
 # How a C620, a C610 and a GM6020 are numbered; the switches of a GM6020 can also say 0, which is no id.
 IDS: Final = {"c620": range(1, 9), "c610": range(1, 9), "gm6020": range(1, 8)}
 FEEDBACK_ID: Final = {"c620": 0x200, "c610": 0x200, "gm6020": 0x204}  # + id; C610 manual, p. 9; of a GM6020: taproot
+
+NAME: Final = "dji"
+HOTTEST: Final = 150  # deg C that one may tell; source: ours
 
 AUTO_ID: Final = 0x700  # 8 bytes on it make controllers choose new ids; RoboRTS-Firmware, motor_auto_set_id
 
@@ -292,6 +296,16 @@ class DjiDriver:
         self._command_frames = tuple(_shared(at, first, self._motors) for first, at in enumerate(used))
         self._zero_frames = [CanFrame(bus, shared.id, bytes(8)) for shared in self._command_frames]
 
+    @staticmethod
+    def sighted(frame: CanFrame) -> list[Sighting]:
+        """Which of these controllers would say this, or would be told it. None has a sure sign of its own."""
+        return _sighted(frame)
+
+    @staticmethod
+    def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
+        """None: they answer nothing."""
+        return []
+
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
         """Torque alone, of which braking is the host's speed loop; or a voltage alone, of which none brakes."""
@@ -491,6 +505,59 @@ def _turn_bounds(motor: MotorSpec) -> list[Bound]:
         Bound("max_speed", motor.max_speed, 0.0, FASTEST_FEEDBACK_HZ * pi / SPEED_DOUBT, "rad/s at the rotor", why),
         Bound("feedback_rate", measuring_hz(motor), slowest, FASTEST_FEEDBACK_HZ, "Hz", why),
     ]
+
+
+def _sighted(frame: CanFrame) -> list[Sighting]:
+    if frame.extended or frame.remote or frame.fd:
+        return []
+    if frame.id in COMMAND_IDS:
+        return _commanded(frame)
+    found = []
+    for first in sorted(set(FEEDBACK_ID.values())):
+        variants = tuple([variant for variant, of in FEEDBACK_ID.items() if of == first])
+        if frame.id - first in IDS[variants[0]]:
+            found.append(_feedback_sighting(frame.id - first, variants, frame.data))
+    return found
+
+
+def _commanded(frame: CanFrame) -> list[Sighting]:
+    """Every motor that may be told something other than 0 here; a slot of 0 may be nobody's."""
+    if len(frame.data) != _COMMAND.size:
+        return []
+    raws: tuple[int, ...] = _COMMAND.unpack(frame.data)
+    found = []
+    for variant, modes in MODES.items():
+        for mode in modes.values():
+            if frame.id in mode.command_ids:
+                first = 1 + MOTORS_PER_FRAME * mode.command_ids.index(frame.id)
+                ids = [first + place for place, raw in enumerate(raws) if raw and first + place in IDS[variant]]
+                found += [_sighting((variant,), at, "command", Evidence.COMMAND) for at in ids]
+    return found
+
+
+def _feedback_sighting(at: int, variants: tuple[str, ...], data: bytes) -> Sighting:
+    if len(data) != _COMMAND.size:
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
+    angle_ticks, speed_rpm, _, temperature = _feedback(data)
+    if angle_ticks >= TICKS or data[7] != 0 or temperature > HOTTEST:
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
+    # A C610 has no sensor and says 0; all others say what the room has at least, unless that freezes.
+    able = tuple([one for one in variants if _senses_temperature(one) is (temperature > 0)])
+    if not able:
+        return _sighting(variants, at, "feedback", Evidence.AGAINST)
+    told = () if temperature == 0 else (("temperature", f"{temperature} deg C"),)
+    angle, speed = angle_ticks * RAD_PER_TICK, speed_rpm * RAD_S_PER_RPM
+    seen = _sighting(able, at, "feedback", Evidence.PROOF)
+    return seen._replace(told=told, angle=angle, velocity=speed, turn=tau)
+
+
+def _sighting(variants: tuple[str, ...], at: int, message: str, evidence: Evidence) -> Sighting:
+    """C620 and C610 are numbered together, a GM6020 by itself: by where their feedback begins."""
+    return Sighting(NAME, variants, at, message, evidence, numbering=f"0x{FEEDBACK_ID[variants[0]]:X}")
+
+
+def _senses_temperature(variant: str) -> bool:
+    return any([mode.temperature for mode in MODES[variant].values()])
 
 
 def _nearest(x: float) -> int:

@@ -21,7 +21,7 @@ obey the next command as if nothing had been.
 Between two counts the position goes on with the speed, but never beyond the count, so that a slow wheel is seen moving.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isnan, tau
 from struct import Struct
 from typing import ClassVar, Final, NamedTuple
@@ -52,6 +52,7 @@ from drivers.contract import (
 )
 from drivers.records import extended_frame, maker
 from drivers.setpoint import CommandKind, MotorCommand
+from drivers.sighting import Evidence, Sighting
 from drivers.twins import TwinWatch, twin_fault
 
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -76,6 +77,11 @@ ID_BITS: Final = 8
 ID_MASK: Final = 0x1FFF_00FF
 ID_AND_HOST_MASK: Final = 0x1FFF_007F
 COMMAND_MASK: Final = 0x1FFF_FF00
+
+NAME: Final = "vesc"
+PING, PONG = 17, 18
+LAST_COMMAND: Final = 0xFF  # bits 28 to 16 of an id are 0
+USUAL_POLE_PAIRS: Final = 7  # where no robot file tells them yet
 
 # Layouts, scales and numbers: github vedderb/bldc, documentation/comm_can.md, comm/comm_can.c, comm/commands.c.
 SET_DUTY, SET_CURRENT, SET_CURRENT_BRAKE, SET_RPM = 0, 1, 2, 3
@@ -501,11 +507,23 @@ class VescDriver:
         self._coast_frames = [motor.coast_frame for motor in self._motors]
         self._stop_frames = [motor.stop_frame for motor in self._motors]
 
+    @staticmethod
+    def sighted(frame: CanFrame) -> list[Sighting]:
+        """What this frame is to a VESC."""
+        found = _sighted(frame)
+        return [] if found is None else [found]
+
+    @staticmethod
+    def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
+        """A ping to every id that one can have here, since new ones send no status. It feeds no timeout."""
+        me = HOST_BIT  # no VESC of ours has this id
+        return [extended_frame(bus, PING << ID_BITS | at, bytes([me])) for at in IDS]
+
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
         """All but a feed-forward and a limit: the speed loop of a VESC takes neither."""
         able = Capabilities(velocity=True, torque=True, voltage=True, brake=True, device_watchdog=True)
-        return (able,) * len(self._motors)
+        return tuple([able._replace(least_speed=motor.min_erpm / motor.erpm_per_rad_s) for motor in self._motors])
 
     def receive(self, frame: CanFrame) -> bool:
         """Take one received frame; True when it was ours."""
@@ -629,6 +647,53 @@ def _bounds(motor: MotorSpec) -> list[Bound]:
         seen = "a shorter one cannot be seen to expire"
         bounds.append(Bound("watchdog.timeout", motor.watchdog_s, SHORTEST_WATCHDOG_S, LONGEST_WATCHDOG_S, "s", seen))
     return bounds
+
+
+def _sighted(frame: CanFrame) -> Sighting | None:
+    if not frame.extended or frame.remote or frame.fd or frame.id >> ID_BITS > LAST_COMMAND:
+        return None
+    command, at, data = frame.id >> ID_BITS, frame.id & 0xFF, frame.data
+    if command == PONG:
+        # To whoever pinged; who answers is in the data, in newer firmware with its kind of hardware.
+        return _sighting(data[0], "PONG", Evidence.PROOF) if data and data[0] in IDS else None
+    if command == PROCESS_SHORT_BUFFER:
+        return _sighted_answer(at, data)
+    if command in SETPOINTS and at in IDS:
+        return _sighting(at, SETPOINTS[command].name, Evidence.COMMAND)
+    return _sighted_status(at, STATUSES[command], data) if command in STATUSES and at in IDS else None
+
+
+def _sighted_status(at: int, message: Message, data: bytes) -> Sighting:
+    if len(data) != STATUS_SIZE:
+        return _sighting(at, message.name, Evidence.AGAINST)
+    items = message.layout.unpack(data)
+    if message is STATUSES[STATUS_5]:
+        angle = items[0] * tau / (COUNTS * USUAL_POLE_PAIRS)
+        return _sighting(at, message.name, Evidence.PROOF, (("voltage", f"{items[1] / 10.0:.1f} V"),), angle)
+    told: tuple[tuple[str, str], ...] = ()
+    if message is STATUSES[STATUS_4]:
+        told = (("temperature", f"{max(items[0], items[1]) / 10.0:.1f} deg C"),)
+    return _sighting(at, message.name, Evidence.PROOF, told)
+
+
+def _sighting(
+    at: int, message: str, evidence: Evidence, told: tuple[tuple[str, str], ...] = (), angle: float | None = None
+) -> Sighting:
+    return Sighting(NAME, (NAME,), at, message, evidence, told, angle, None if angle is None else 0.0)
+
+
+def _sighted_answer(at: int, data: bytes) -> Sighting | None:
+    if len(data) == _QUESTION.size:
+        return _sighting(at, "GET_VALUES_SELECTIVE request", Evidence.TALK) if at in IDS else None
+    if len(data) != _ANSWER.size:
+        return None
+    who, what, packet, mask, value = _ANSWER.unpack(data)
+    if who not in IDS or (what, packet) != (ANSWER, GET_VALUES_SELECTIVE):
+        return None
+    told: tuple[tuple[str, str], ...] = ()
+    if mask == ASK_FAULT:
+        told = (("error", FAULTS[value] if 0 < value < len(FAULTS) else "" if value == 0 else f"fault {value}"),)
+    return _sighting(who, "GET_VALUES_SELECTIVE", Evidence.PROOF, told)
 
 
 def _decoded_question(name: str, data: bytes) -> DecodedFrame | None:

@@ -40,6 +40,7 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
+    "gateway/setup": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/control", "gateway/core"},
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
@@ -98,6 +99,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 PURE = (
     *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
     *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths", "gateway/words"),
+    "gateway/setup",
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.
@@ -119,7 +121,7 @@ PYDANTIC_FILES = {
         "replay/drive/scenario_file.py",
     ),
     "replay/inject/injection.py",
-    "gateway/paths/path_file.py",
+    *("gateway/paths/path_file.py", "gateway/setup/fields.py"),
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib

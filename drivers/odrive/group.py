@@ -4,7 +4,7 @@ Firmware 0.5 and 0.6, 11-bit ids. The messages are in odrive_tables, the firmwar
 in odrive_axis and its bring-up in odrive_bringup; here is the group of axes on one bus.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from math import isnan
 from typing import Any, ClassVar, Final
 
@@ -20,13 +20,14 @@ from drivers.contract import (
     ReceiveFilter,
     Traffic,
 )
-from drivers.odrive import tables
+from drivers.odrive import sighting, tables
 from drivers.odrive.axis import Axis, Step
 from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES, every_word
 from drivers.odrive.tables import AxisState, Control
 from drivers.records import maker
 from drivers.setpoint import CommandKind, MotorCommand
+from drivers.sighting import Sighting
 
 _made: Final = maker(MotorFeedback)
 # Members of enumerations, each looked up once: where every cycle does, it takes a tenth of its time.
@@ -69,6 +70,17 @@ class OdriveDriver:
             for axis in self._axes
             for identifier, (message, take) in axis.receivers().items()
         }
+
+    @staticmethod
+    def sighted(frame: CanFrame) -> list[Sighting]:
+        """What this frame is to an ODrive."""
+        found = sighting.sighted(frame)
+        return [] if found is None else [found]
+
+    @staticmethod
+    def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
+        """For the firmware of those that were heard."""
+        return sighting.questions(bus, heard)
 
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:

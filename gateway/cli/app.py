@@ -33,6 +33,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "set": "setting",
     "mark": "mark",
     "calibrate": "calibrate",
+    "setup": "setup",
     "demo": "demo",
     "sim": "sim",
     "scenario": "scenario",

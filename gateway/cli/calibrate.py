@@ -1,10 +1,8 @@
 """`drivegate calibrate`: measure what the robot file has to know, with the robot itself."""
 
-import os
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -20,6 +18,7 @@ from gateway.calibration import CalibrationError, Driver, Found, Launch, Plans, 
 from gateway.chassis.omni import OmniRobot
 from gateway.cli.operate import EXIT_REFUSED, Connect, open_client
 from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.rewriting import RewriteError, drafted
 from gateway.client import Client
 from gateway.commander import config_of
 from gateway.config import ConfigError, RobotConfig, load, parse
@@ -158,19 +157,10 @@ def write(file: Path, friction: float, note: str) -> None:
 def _draft(file: Path, friction: float, note: str) -> Iterator[Path]:
     """The changed robot file, beside it and with its rights; gone at the end unless it was moved."""
     try:
-        place = file.resolve()
-        text = _changed(place, friction, note)
-        if not os.access(place, os.W_OK):
-            raise CalibrationError(f"{file} cannot be written: it is read-only")
-        with tempfile.NamedTemporaryFile("wb", dir=place.parent, prefix=f".{place.name}.", delete=False) as new:
-            try:
-                new.write(text.encode())
-                new.flush()
-                os.fsync(new.fileno())
-                _as_of(place, new.fileno())
-                yield Path(new.name)
-            finally:
-                Path(new.name).unlink(missing_ok=True)
+        with drafted(file, _changed(file.resolve(), friction, note)) as draft:
+            yield draft
+    except RewriteError as error:
+        raise CalibrationError(str(error)) from None
     except OSError as error:
         raise CalibrationError(f"{file} cannot be written: {error.strerror}") from None
 
@@ -190,14 +180,6 @@ def _changed(file: Path, friction: float, note: str) -> str:
     except (ConfigError, TOMLKitError, UnicodeDecodeError) as error:
         raise CalibrationError(f"robot.grip.friction cannot be changed in it: {error}") from None
     return text
-
-
-def _as_of(file: Path, new: int) -> None:
-    """Rights and, as far as whoever calls may give it away, owner of another file."""
-    was = file.stat()
-    os.fchmod(new, was.st_mode & 0o7777)
-    with suppress(PermissionError):
-        os.fchown(new, was.st_uid, was.st_gid)
 
 
 def wheels_of(config: RobotConfig, friction: float) -> list[WheelGrip]:

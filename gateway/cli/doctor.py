@@ -21,7 +21,7 @@ from gateway.build import version
 from gateway.cli.explain import tell_code
 from gateway.cli.output import console, print_json
 from gateway.client import Client
-from gateway.config import Bus, RobotConfig, load
+from gateway.config import RobotConfig, load
 from gateway.core.assembly import build
 from gateway.edges import host_checks as judge
 from gateway.edges.can_link import CanLink, parse_link
@@ -109,7 +109,7 @@ def _robot(path: Path) -> Iterator[Finding]:
     active = unit is not None and unit.active == "active"
     for bus in config.bus:
         if bus.interface == "socketcan":
-            yield from judge.interface(bus, _link(bus))
+            yield from judge.interface(bus, link_of(bus.channel))
     yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
     directory = SESSIONS / path.stem if ours else Path(config.recording.directory)
     if config.recording.enabled or config.recording.incidents.enabled:
@@ -159,8 +159,9 @@ def _text(path: Path) -> str | None:
         return None
 
 
-def _link(bus: Bus) -> CanLink | None:
-    return parse_link(_output("ip", "-details", "-statistics", "-json", "link", "show", "dev", bus.channel) or "")
+def link_of(channel: str) -> CanLink | None:
+    """A network interface as `ip` sees it."""
+    return parse_link(_output("ip", "-details", "-statistics", "-json", "link", "show", "dev", channel) or "")
 
 
 def _synchronised() -> bool:

@@ -157,6 +157,21 @@ def _tried(make: Callable[[], object]) -> list[str]:
     return []
 
 
+def with_motors(robot: Robot, config: RobotConfig) -> Robot:
+    """The same robot with the motors of this file, its drivers new. Raises ConfigError."""
+    motors, origin = config.motors_in_order(), "robot file"
+    groups = _groups(config, motors, origin)
+    able = _capabilities(groups)
+    loops = _speed_loops(motors, able, origin)
+    return robot._replace(
+        groups=groups,
+        transmissions=tuple(map(_transmission, motors, able)),
+        speed_loops=loops,
+        capabilities=tuple(map(_with_loop, able, loops)),
+        limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
+    )
+
+
 def limiter(config: RobotConfig, robot: Robot) -> TwistLimiter:
     """Its setpoint, with the limits of wheels whose geometry no joint angle changes; other wheels are their law's."""
     axes, limits = robot.kinematics.axes, config.limits

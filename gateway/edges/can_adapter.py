@@ -86,9 +86,11 @@ def epoch_ns(message: can.Message) -> int | None:
 
 
 @contextmanager
-def opened(*, interface: str, channel: str, fd: bool = False) -> Iterator[can.BusABC]:
+def opened(*, interface: str, channel: str, fd: bool = False, bitrate: int | None = None) -> Iterator[can.BusABC]:
     """A bus for a while. Raises AdapterError if it cannot be opened; closing may fail as it likes."""
     more: dict[str, Any] = {"fd": True} if fd else {}  # not every adapter takes it
+    if bitrate is not None:
+        more["bitrate"] = bitrate
     bus = ask(can.Bus, interface=interface, channel=channel, **more)
     try:
         yield bus

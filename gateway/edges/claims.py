@@ -12,6 +12,7 @@ import logging
 import socket
 import struct
 from collections.abc import Iterable
+from pathlib import Path
 
 from gateway.errors import UserError
 
@@ -19,6 +20,7 @@ logger = logging.getLogger(__name__)
 
 _LONGEST_NAME = 107  # bytes with the leading zero; sun_path of unix(7)
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid; SO_PEERCRED of unix(7)
+_SOCKETS = Path("/proc/self/net/unix")  # of the network namespace of this process
 _ASKERS = 16  # refused services whose question may wait unanswered
 
 
@@ -55,6 +57,20 @@ class Claims:
             holder = f"{interface} {channel}: {_holder(name)} already commands CAN id 0x{identifier:X}"
             raise InUseError(f"{holder}; end it first, two services must not drive the same motors") from None
         claim.listen(_ASKERS)
+
+
+def refuse_where_commanded(interface: str, channel: str) -> None:
+    """Raises InUseError if a process commands anything on this bus, as far as the kernel lists the names."""
+    begin = f"@drivegate/{interface}/{channel}/"
+    try:
+        lines = _SOCKETS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        logger.debug("looking for other services: %s", error)
+        return
+    for name in (line.rpartition(" ")[2] for line in lines):
+        if name.startswith(begin):
+            holder = _holder("\0" + name.removeprefix("@"))
+            raise InUseError(f"{interface} {channel}: {holder} commands motors there; end it first")
 
 
 def _holder(name: str) -> str:

@@ -9,6 +9,8 @@ anything was driven.
 """
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 _REAL_TIME = range(signal.SIGRTMIN, signal.SIGRTMAX + 1)
@@ -66,6 +68,18 @@ class EndRequest:
                 signal.signal(number, self._on_signal)
         for number in IGNORED:
             signal.signal(number, signal.SIG_IGN)
+
+    @contextmanager
+    def heeded(self) -> Iterator[None]:
+        """Listen for a while; then signals do again what they did before."""
+        before = {number: signal.getsignal(number) for number in (*ENDING, *IGNORED)}
+        self.listen()
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                if handler is not None:  # else it was no handler of Python's, and cannot be put back
+                    signal.signal(number, handler)
 
     def ask(self, by: str) -> None:
         """The first request counts."""

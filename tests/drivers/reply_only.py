@@ -4,7 +4,7 @@ It is what the contract is held against for such controllers before there is one
 its own with each velocity, and a torque limit with each command. One frame of 8 bytes each way: 0x10 + id, 0x60 + id.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isfinite, isnan
 from struct import Struct
 from typing import ClassVar
@@ -23,6 +23,7 @@ from drivers.contract import (
     Traffic,
 )
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
+from drivers.sighting import Sighting
 from drivers.twins import TwinWatch, twin_fault
 from replay.sim.controllers.contract import STEP_S, Emission, MotorSetup, Shaft
 
@@ -110,6 +111,14 @@ class ReplyOnlyDriver:
             check_options(motor, {}, of="driver reply_only")
         self._bus = bus
         self._motors = [_Motor(motor) for motor in motors]
+
+    @staticmethod
+    def sighted(frame: CanFrame) -> list[Sighting]:
+        return []
+
+    @staticmethod
+    def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
+        return []
 
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:

@@ -108,7 +108,9 @@ def test_without_an_input_voltage_no_voltage_is_given_and_the_reason_told() -> N
 def test_what_it_can_what_it_hears_and_which_ids_it_takes() -> None:
     driver = VescDriver(BUS, [spec("vesc", id=4, name="d"), spec("vesc", id=126, name="e")])
     able = Capabilities(velocity=True, torque=True, voltage=True, brake=True, device_watchdog=True)
-    assert driver.capabilities == (able,) * 2
+    assert [one._replace(least_speed=0.0) for one in driver.capabilities] == [able] * 2
+    least = 20 / 7 * pi / 30  # min_erpm and pole_pairs of the rig
+    assert [one.least_speed for one in driver.capabilities] == pytest.approx([least] * 2)
     assert driver.receive_filters() == (
         (4, 0x1FFF00FF, True),
         (126, 0x1FFF00FF, True),

@@ -50,3 +50,14 @@ def test_under_nohup_a_hangup_stays_ignored() -> None:
     request.listen()
     os.kill(os.getpid(), signal.SIGHUP)
     assert request.by is None
+
+
+def test_what_is_heeded_for_a_while_is_as_before_afterwards() -> None:
+    numbers = (*ENDING, *IGNORED)
+    before = [signal.getsignal(number) for number in numbers]
+    request = EndRequest()
+    with request.heeded():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGUSR1)
+    assert request.by == f"signal {signal.SIGINT.value}"
+    assert [signal.getsignal(number) for number in numbers] == before

@@ -30,6 +30,8 @@ _ANSWER = Struct(">BBBIB")
 
 DUTY, CURRENT, BRAKE, RPM, CURRENT_REL = 0, 1, 2, 3, 10
 _SHORT_BUFFER = 8
+_PING, _PONG = 17, 18
+_HARDWARE = 0  # HW_TYPE_VESC
 _STATUS_ID, _STATUS_4_ID, _STATUS_5_ID = 9, 16, 27
 _GET_VALUES_SELECTIVE = 50
 _MASK_FAULT, _MASK_STATUS = 1 << 15, 1 << 21
@@ -132,6 +134,8 @@ class SimulatedVesc:
             return ()
         if command == _SHORT_BUFFER:
             return self._answer(frame.data, now_ns)
+        if command == _PING and frame.data:
+            return (self._emission_to(frame.data[0], now_ns),)
         scale = _SCALES.get(command)
         if scale is not None and len(frame.data) >= _VALUE.size:
             self._fed_ns = now_ns
@@ -292,6 +296,11 @@ class SimulatedVesc:
         value = self._fault if mask == _MASK_FAULT else self._timed_out | self.kill_switch << 1
         answer = _ANSWER.pack(self.setup.id, 1, _GET_VALUES_SELECTIVE, mask, value)
         return (Emission(now_ns, CanFrame(self.setup.bus, _SHORT_BUFFER << 8 | host, answer, extended=True)),)
+
+    def _emission_to(self, host: int, now_ns: int) -> Emission:
+        """The answer to a ping of this host."""
+        frame = CanFrame(self.setup.bus, _PONG << 8 | host, bytes((self.setup.id, _HARDWARE)), extended=True)
+        return Emission(now_ns, frame)
 
     def _emission(self, ready_ns: int, message: int, data: bytes) -> Emission:
         return Emission(ready_ns, CanFrame(self.setup.bus, message << 8 | self.setup.id, data, extended=True))

@@ -1,0 +1,95 @@
+"""`drivegate setup jog`: one motor turns a little."""
+
+from typing import Annotated
+
+import typer
+
+from gateway import robot_files
+from gateway.cli.asking import NotAllowedError, Yes, allow
+from gateway.cli.output import complain, console, print_json
+from gateway.config import Bus, ConfigError, Motor, RobotConfig, load
+from gateway.edges.can_bus import CanBuses
+from gateway.edges.claims import refuse_where_commanded
+from gateway.edges.signals import EndRequest
+from gateway.edges.turning import turn
+from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
+from gateway.setup.words import positive_ways
+
+EXIT_REFUSED = 1
+
+
+def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a name
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    motor: Annotated[str, typer.Argument(help="Its name in the robot file.")],
+    speed: Annotated[float, typer.Option(help="Rad/s at the output, up to 1; below 0: backwards.")] = USUAL_SPEED,
+    seconds: Annotated[float, typer.Option(help="For how long, up to 5.")] = USUAL_SECONDS,
+    yes: Yes = False,
+    json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
+) -> None:
+    """Turn one motor a little, wheels off the ground. It asks first, and ends by itself when anything is not right."""
+    config, _ = load(robot_files.find(file))
+    try:
+        procedure = Jog(config, motor, speed=speed, seconds=seconds)
+        way = positive_ways(config)[motor] if speed > 0.0 else "the other way round"
+        allow(
+            f"{warning(config, motor)} {motor} will turn {abs(speed * seconds):.2f} rad: {way}.", "to turn it", yes=yes
+        )
+        outcome = run(config, procedure)
+    except (JogError, NotAllowedError) as error:
+        _refuse(str(error), json=json)
+    if json:
+        print_json(outcome._asdict() | {"ok": outcome.ending is Ending.TURNED, "ending": outcome.ending.value})
+    else:
+        console.print(words(outcome), markup=False, highlight=False)
+    if outcome.ending is not Ending.TURNED:
+        raise typer.Exit(EXIT_REFUSED)
+
+
+def run(config: RobotConfig, procedure: Jog) -> Outcome:
+    """Turn it, with the bus to itself. Raises InUseError."""
+    place = bus_of(config, procedure.bus)
+    refuse_where_commanded(place.interface, place.channel)
+    alone = config.model_copy(update={"bus": [place]})
+    buses, ending = CanBuses(alone), EndRequest()
+    try:
+        with ending.heeded():
+            turn(buses, procedure, ending, period_ns=min(round(1e9 / config.loop.rate), PERIOD_NS))
+    finally:
+        buses.close()
+    if procedure.outcome is None:
+        raise ConfigError("setup", ["the jog has no outcome"])
+    return procedure.outcome
+
+
+def bus_of(config: RobotConfig, name: str) -> Bus:
+    """The bus of this name."""
+    return next(bus for bus in config.bus if bus.name == name)
+
+
+def warning(config: RobotConfig, *names: str) -> str:
+    """What a person has to see to before these motors turn."""
+    text = (
+        "Lift the robot so that no wheel touches the ground, keep hands and cables away, and the power switch at hand."
+    )
+    holding = [motor for motor in config.motor if motor.name in names and motor.watchdog is None]
+    return f"{text} {_holds(holding)}" if holding else text
+
+
+def _holds(motors: list[Motor]) -> str:
+    names = ", ".join(motor.name for motor in motors)
+    return f"Without a command timeout ({names}) a controller may hold its last command when cable or program fails."
+
+
+def words(outcome: Outcome) -> str:
+    """For a person."""
+    moved = "" if outcome.moved is None else f", {outcome.moved:.2f} rad by its encoder"
+    reason = f": {outcome.reason}" if outcome.reason else ""
+    held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
+    return f"{outcome.motor}: {outcome.ending.value}{moved}{reason}{held}"
+
+
+def _refuse(reason: str, *, json: bool) -> None:
+    if json:
+        print_json({"ok": False, "reason": reason})
+    complain(reason)
+    raise typer.Exit(EXIT_REFUSED) from None
