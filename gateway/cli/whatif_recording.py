@@ -16,6 +16,8 @@ TIME = "time"  # s since the first recorded cycle
 PERIOD_S = 0.02  # of what is drawn, as in a session
 BATCH = 500  # points sent at once: memory stays flat
 FLUSH_TIMEOUT_S = 10.0
+# One number has the same colour on every side; the viewer would give each line one of its own.
+COLOURS = (0x4C9BE8, 0xF28E2B, 0x59A14F, 0xE15759, 0xB07AA1, 0x76B7B2, 0xEDC948, 0xFF9DA7, 0x9C755F, 0xA0A0A0)
 _LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop)
 
 
@@ -29,7 +31,9 @@ class Drawn(Protocol):
 
 
 class Recording:
-    """Give it every step; use it as a context. `sides`: robots by the fields of a step that have their outputs.
+    """Give it every step; use it as a context, which leaves no file behind where an error ends it.
+
+    `sides`: robots by the fields of a step that have their outputs.
 
     Raises OSError at construction.
     """
@@ -43,9 +47,15 @@ class Recording:
             self._recording.save(path, default_blueprint=_blueprint(sides))
         except RuntimeError as error:
             raise OSError(None, str(error)) from None
+        self._path = path
+        colours: dict[tuple[str, str], int] = {}
         for side, layouts in self._layouts.items():
             for entity, layout in layouts.items():
-                lines = rr.SeriesLines(names=[f"{label} {side}" for label in layout.labels])
+                keys = [(entity, label) for label in layout.labels]
+                for key in keys:
+                    colours.setdefault(key, COLOURS[len(colours) % len(COLOURS)] << 8 | 0xFF)
+                names = [f"{label} {side}" for label in layout.labels]
+                lines = rr.SeriesLines(names=names, colors=np.array([colours[key] for key in keys], np.uint32))
                 self._recording.log(f"{side}/{entity}", lines, static=True)
 
     def add(self, step: Drawn) -> None:
@@ -59,11 +69,13 @@ class Recording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._steps:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None and self._steps:
             self._send()
         self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
         self._recording.disconnect()
+        if kind is not None:
+            self._path.unlink(missing_ok=True)
 
     def _send(self) -> None:
         steps, self._steps = self._steps, []

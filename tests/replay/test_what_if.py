@@ -221,6 +221,12 @@ def drawn_limited(out: Path, entity: str) -> dict[int, list[float]]:
     return found
 
 
+def test_what_is_refused_leaves_no_recording(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "whatif.rrd"
+    assert run(session, "--set", "no_such=0.2", "--out", out).exit_code == 2
+    assert not out.exists()
+
+
 def test_the_session_itself_is_not_written_over(session: Path) -> None:
     file = session / "segment-00001.rrd"
     before = file.read_bytes()
