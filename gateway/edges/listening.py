@@ -6,12 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import can
-
 from drivers.contract import CanFrame
 from gateway.edges.can_adapter import AdapterError, ask, epoch_ns, flaw, frame_of, message_of, opened
 from gateway.edges.can_bus import interface_exists
 from gateway.edges.can_errors import meanings
+from gateway.edges.python_can import can
 
 WAIT_S = 0.02
 ASK_GAP_S = 0.002  # between two questions: a burst would fill the queue of an interface

@@ -2,10 +2,12 @@
 
 import tomllib
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple
 
-from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
+from annotated_types import Ge, Le, MaxLen, MinLen
 from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from gateway.file_keys import allowed
 
 Value = bool | int | float | str
 
@@ -43,14 +45,10 @@ class Field(NamedTuple):
 def field(model: type[BaseModel], key: str) -> Field:
     """The field of a part of the robot file."""
     info = model.model_fields[key]
-    limits = [one for one in info.metadata if isinstance(one, Ge | Gt | Le | Lt | MinLen | MaxLen)]
-    words = [_range(limits), info.description or ""]
-    if get_origin(info.annotation) is Literal:
-        words = [_or(get_args(info.annotation)), *words]
     kind: Any = info.annotation
     if info.metadata:
         kind = Annotated[(kind, *info.metadata)]
-    return Field(", ".join(word for word in words if word), TypeAdapter(kind))
+    return Field(allowed(model, [key]) or "", TypeAdapter(kind))
 
 
 def choice(words: Sequence[str]) -> Field:
@@ -72,23 +70,6 @@ def whole(low: int, high: int, meaning: str) -> Field:
 def words(least: int, most: int) -> Field:
     """A text of so many letters."""
     return Field(f"{least} to {most} letters", TypeAdapter(Annotated[str, MinLen(least), MaxLen(most)]))
-
-
-_BOUNDS: Final = {
-    Ge: ("ge", "at least {}"),
-    Gt: ("gt", "more than {}"),
-    Le: ("le", "at most {}"),
-    Lt: ("lt", "less than {}"),
-    MinLen: ("min_length", "at least {} letters"),
-    MaxLen: ("max_length", "at most {} letters"),
-}
-
-
-def _range(limits: Sequence[object]) -> str:
-    found = {type(one): getattr(one, _BOUNDS[type(one)][0]) for one in limits}
-    if found.keys() == {Ge, Le}:
-        return f"{found[Ge]:g} to {found[Le]:g}"
-    return " and ".join(_BOUNDS[kind][1].format(f"{bound:g}") for kind, bound in found.items())
 
 
 def _or(words: Sequence[object]) -> str:

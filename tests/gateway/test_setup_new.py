@@ -126,7 +126,7 @@ def test_by_script(tmp_path: Path) -> None:
     [
         (["robot.kind=tank"], "robot.kind: 'tank': must be offset_differential or omni or mecanum"),
         (["robot.kind=omni"], "robot.name: missing"),
-        (["robot.kind=omni", "robot.name=Ours"], "must be lower case, digits, _ and -"),
+        (["robot.kind=omni", "robot.name=Ours"], "must be lower case letters, digits, _ and -"),
         (["robot.kind=omni", "robot.name=ours", "robot.wheels=2"], "robot.wheels: 2: must be 3 to 8"),
         (["robot.kind=omni", "robot.name=ours", "robot.wheels=3", "robot.reach=nan"], "must be 0.01 to 5, m"),
         (["nonsense"], "must be KEY=VALUE"),
