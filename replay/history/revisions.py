@@ -19,7 +19,7 @@ import venv
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from replay.history.bisect import Answer, Asked, BisectError
 
@@ -27,6 +27,8 @@ GIT_TIMEOUT_S = 120.0
 PIP_TIMEOUT_S = 1800.0
 NEEDED = ("gateway", "replay", "pyproject.toml")
 _ANSWERS = {0: Answer.GOOD, 3: Answer.GOOD, 1: Answer.BAD}  # exit codes of `drivegate replay verify`
+# The first Pythons 3.11 know no filters; what git packs is none of a stranger's.
+_SAFELY: dict[str, Any] = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
 _WORDS = 300  # characters of what a failing command says
 
 
@@ -70,7 +72,7 @@ class Repository:
         if done.returncode:
             raise BisectError(f"{self._path}: {_said(done.stderr)}")
         with tarfile.open(fileobj=BytesIO(done.stdout)) as archive:
-            archive.extractall(folder, filter="data")
+            archive.extractall(folder, **_SAFELY)
 
     def _git(self, *arguments: str) -> str:
         done = self._run(*arguments)
