@@ -109,9 +109,10 @@ def test_ctrl_c_ends_all_that_was_started(number: int, tmp_path: Path, free_port
         watch.send_signal(number)
         assert watch.wait(20.0) == 0
         assert not running(viewer)
-        words = (tmp_path / "watch.log").read_text().splitlines()
-        assert any(line.startswith("look at http://127.0.0.1:") for line in words)
-        assert words[1:] == ["looking at omni4"]
+        which, page, *others = (tmp_path / "watch.log").read_text().splitlines()
+        assert which.startswith("omni4: as given by --connect")
+        assert page.startswith("look at http://127.0.0.1:")
+        assert others == ["looking at omni4"]
 
 
 def test_a_viewer_that_hangs_is_ended_too(tmp_path: Path, free_port: int) -> None:
