@@ -15,6 +15,7 @@ from gateway.recording.disk import segments
 LOOPBACK = "127.0.0.1"
 WEB_PORT = 9090
 DATA_PORT = 9876
+ANY_PORT = 0
 READY_S = 30.0
 END_S = 3.0
 # Of what was shown: the viewer, and the server of a page, forget the oldest beyond that.
@@ -24,6 +25,10 @@ PAGE_MEMORY = "512MB"
 
 class ViewerError(RuntimeError):
     """There is no viewer; the text says why."""
+
+
+class _EndedError(ViewerError):
+    """It ended before it was ready."""
 
 
 def view(session: Path) -> None:
@@ -53,12 +58,19 @@ class LiveViewer:
         program = _program()
         if not program.exists():
             raise ViewerError("the Rerun viewer is not installed with this Python")
-        self._port = free_port(DATA_PORT)
+        try:
+            self._start(program, DATA_PORT, WEB_PORT, web=web)
+        except _EndedError:  # another one may have been quicker to take a port that was free
+            self._start(program, ANY_PORT, ANY_PORT, web=web)
+
+    def _start(self, program: Path, data_port: int, web_port: int, *, web: bool) -> None:
+        """On these ports, or on others where they are not free; waits until it is ready."""
+        self._port = free_port(data_port)
         self.url = _url(self._port)
         command = [str(program), "--bind", LOOPBACK, "--port", str(self._port)]
         self.page: str | None = None
         if web or not _has_display():
-            web_port = free_port(WEB_PORT, other_than=self._port)
+            web_port = free_port(web_port, other_than=self._port)
             command += ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", PAGE_MEMORY]
             self.page = _page(web_port, self._port)
         else:
@@ -113,7 +125,7 @@ class LiveViewer:
                     raise ViewerError(f"the Rerun viewer was not ready within {READY_S:g} s") from None
             else:
                 return
-        raise ViewerError(f"the Rerun viewer ended with exit code {self._process.returncode}; try --web")
+        raise _EndedError(f"the Rerun viewer ended with exit code {self._process.returncode}; try --web")
 
 
 def free_port(wanted: int, *, other_than: int | None = None) -> int:

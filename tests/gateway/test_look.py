@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -210,6 +211,19 @@ def test_a_port_that_is_taken_is_left_alone() -> None:
     assert free_port(port, other_than=port) != port
 
 
+def test_where_another_was_quicker_to_take_a_port_it_takes_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "rerun"
+    tried = tmp_path / "tried"
+    program.write_text(f'#!/bin/sh\n[ -e {tried} ] && exec {viewer_module._program()} "$@"\ntouch {tried}\nexit 1\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(viewer_module, "_program", lambda: program)
+    with LiveViewer(web=True) as viewer:
+        assert viewer.url.rpartition(":")[2] != f"{viewer_module.DATA_PORT}/proxy"
+        assert viewer.wait(0.0)
+
+
 def test_a_viewer_takes_a_recording_and_is_ended() -> None:
     with LiveViewer(web=True) as viewer:
         assert viewer.page is not None
@@ -221,7 +235,10 @@ def test_a_viewer_takes_a_recording_and_is_ended() -> None:
 
 def listening(pid: int) -> set[str]:
     """Addresses on which a process listens (IPv4)."""
-    own = {link for path in Path(f"/proc/{pid}/fd").iterdir() if (link := str(path.readlink())).startswith("socket:[")}
+    own = set()
+    for path in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            own.add(str(path.readlink()))
     found = set()
     for table in ("tcp", "tcp6"):
         for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
