@@ -10,7 +10,9 @@ from gateway.client import DEFAULT_ENDPOINT
 from gateway.config import ConfigError
 from gateway.guess import guess
 from gateway.robot_files import Place
-from tests.world import ROBOTS, robot_text
+from tests.world import robot_text
+
+ROBOTS = robot_files.bundled()["moby"].parent  # of a checkout or of an installation
 
 
 @pytest.fixture
