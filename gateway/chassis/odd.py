@@ -171,9 +171,14 @@ class OddRobot(Section):
             lateness=parts.acceleration[RATE] / parts.jerk[RATE] + parts.delay + parts.period,
             yields=self.yields,
             place=self.width_sensor,
-            steering=None if self.steering is None else Steering(self.steering.gains(), top=parts.velocity[TURNING]),
+            steering=self._steering(parts),
         )
         return law if self.balance is None else self._balancing(self.balance, law, parts)
+
+    def _steering(self, parts: LawParts) -> Steering | None:
+        if self.steering is None:
+            return None
+        return Steering(self.steering.gains(), top=parts.velocity[TURNING], acceleration=parts.acceleration[TURNING])
 
     def _balancing(self, balance: Balance, wheels: OddLaw, parts: LawParts) -> BalancingLaw:
         standing = self._standing(balance)

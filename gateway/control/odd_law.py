@@ -169,11 +169,8 @@ class OddLaw:
         """Turning as a gyro has to see it; a robot that comes to rest makes up for nothing."""
         if self._steering is None:
             return rates
-        if braking and not any(rates):
-            self._steering.forget()
-            return rates
-        attitude = measured.attitude
-        turning = None if attitude is None else attitude.yaw_rate
+        resting = braking and not any(rates)
+        turning = None if measured.attitude is None or resting else measured.attitude.yaw_rate
         return (*rates[:TURNING], self._steering.steered(rates[TURNING], turning, measured.dt), *rates[RATE:])
 
     def _forget_steering(self) -> None:

@@ -4,7 +4,9 @@ How this works
 --------------
 e is the turn that is missing, the integral of what is asked for less what the gyro tells. With wheels that follow by
 a lag T the loop is T e'' + (1 + Kd) e' + Kp e = 0, stable for every Kp > 0 and Kd >= 0, and without overshoot as long
-as 4 T Kp <= (1 + Kd)^2. Source: arXiv 2407.10127 (steering by PD of the yaw); the condition is derived.
+as 4 T Kp <= (1 + Kd)^2. What it adds comes and goes no faster than the body may turn faster: a gyro that is heard again
+while the body spins, or falls silent while it is held back, is no reason for wheels to step.
+Source: arXiv 2407.10127 (steering by PD of the yaw); the condition is derived.
 """
 
 from typing import Final, NamedTuple
@@ -30,23 +32,37 @@ class SteeringGains(NamedTuple):
 
 
 class Steering:
-    """State owner. `top`: of the body's turning, rad/s."""
+    """State owner. Of the body's turning: `top`, rad/s, and `acceleration`, rad/s^2."""
 
-    def __init__(self, gains: SteeringGains, *, top: float) -> None:
+    def __init__(self, gains: SteeringGains, *, top: float, acceleration: float) -> None:
         self._gains = gains
         self._most = SHARE * top
+        self._acceleration = acceleration
         self._missing = 0.0  # rad
+        self._added = 0.0  # rad/s
 
     def steered(self, wanted: float, measured: float | None, dt: float) -> float:
-        """Rad/s to turn the wheels for, where this is wanted; the same while no gyro tells how it turns."""
-        if measured is None:
-            self.forget()
-            return wanted
-        error = wanted - measured
-        self._missing = max(-FARTHEST, min(FARTHEST, self._missing + error * dt))
-        more = self._gains.yaw * self._missing + self._gains.yaw_rate * error
-        return wanted + max(-self._most, min(self._most, more))
+        """Rad/s to turn the wheels for, where this is wanted; soon the same while no gyro tells how it turns."""
+        more = self._made_up(wanted, measured, dt)
+        step = self._acceleration * dt
+        if more > self._added + step:
+            self._added += step
+        elif more < self._added - step:
+            self._added -= step
+        else:
+            self._added = more
+        return wanted + self._added
 
     def forget(self) -> None:
         """It begins anew, as it stands."""
-        self._missing = 0.0
+        self._missing = self._added = 0.0
+
+    def _made_up(self, wanted: float, measured: float | None, dt: float) -> float:
+        """Rad/s that PD adds."""
+        if measured is None:
+            self._missing = 0.0
+            return 0.0
+        error = wanted - measured
+        self._missing = max(-FARTHEST, min(FARTHEST, self._missing + error * dt))
+        more = self._gains.yaw * self._missing + self._gains.yaw_rate * error
+        return max(-self._most, min(self._most, more))

@@ -114,7 +114,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
         {"_acceleration", "_body", "_coasts", "_commanded", "_farthest", "_gains", "_kinematics", "_radius"}
         | {"_taken_up", "_top_speeds", "_torques"}
     ),
-    "gateway.control.steering.Steering": frozenset({"_gains", "_most"}),
+    "gateway.control.steering.Steering": frozenset({"_acceleration", "_gains", "_most"}),
     "gateway.control.odd_width.WidthEstimate": frozenset({"_gate", "_narrowest", "_sensor", "_widest"}),
     "gateway.control.speed_loop.SpeedLoop": frozenset({"_ki", "_kp", "_max_torque"}),
     "drivers.dji.DjiDriver": frozenset({"_bus", "_by_id", "_command_frames", "_slots", "_zero_frames"}),

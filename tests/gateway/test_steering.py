@@ -10,10 +10,11 @@ from gateway.types import Twist
 from tests.world import World
 
 GAINS = SteeringGains(2.0, 0.3)
+SUDDEN = 1e6  # rad/s^2: whatever it adds, it adds at once
 
 
 def test_it_adds_what_is_missing_and_how_fast() -> None:
-    steering = Steering(GAINS, top=4.0)
+    steering = Steering(GAINS, top=4.0, acceleration=SUDDEN)
     assert steering.steered(1.0, 0.9, 0.1) == pytest.approx(1.0 + 2.0 * 0.01 + 0.3 * 0.1)
     assert steering.steered(1.0, 1.0, 0.1) == pytest.approx(1.0 + 2.0 * 0.01)
     steering.forget()
@@ -21,7 +22,7 @@ def test_it_adds_what_is_missing_and_how_fast() -> None:
 
 
 def test_without_a_gyro_it_is_as_told_and_forgets() -> None:
-    steering = Steering(GAINS, top=4.0)
+    steering = Steering(GAINS, top=4.0, acceleration=SUDDEN)
     steering.steered(1.0, 0.0, 0.05)
     assert steering.steered(1.0, None, 0.1) == 1.0
     assert steering.steered(1.0, 1.0, 0.1) == 1.0
@@ -29,11 +30,29 @@ def test_without_a_gyro_it_is_as_told_and_forgets() -> None:
 
 @given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0)), min_size=1, max_size=50))
 def test_it_never_adds_more_than_its_share(course: list[tuple[float, float]]) -> None:
-    steering = Steering(SteeringGains(20.0, 1.0), top=4.0)
+    steering = Steering(SteeringGains(20.0, 1.0), top=4.0, acceleration=SUDDEN)
     for wanted, measured in course:
         assert abs(steering.steered(wanted, measured, 0.1) - wanted) <= SHARE * 4.0 + 1e-12
     steering.steered(0.0, 0.0, 0.1)
     assert abs(steering.steered(0.0, 0.0, 0.1)) <= min(20.0 * FARTHEST, SHARE * 4.0) + 1e-12
+
+
+@given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.none() | st.floats(-20.0, 20.0)), min_size=1, max_size=50))
+def test_what_it_adds_comes_and_goes_no_faster_than_the_body_may_turn_faster(
+    course: list[tuple[float, float | None]],
+) -> None:
+    steering, added = Steering(SteeringGains(20.0, 1.0), top=4.0, acceleration=6.0), 0.0
+    for wanted, measured in course:
+        before, added = added, steering.steered(wanted, measured, 0.1) - wanted
+        assert abs(added - before) <= 6.0 * 0.1 + 1e-12
+
+
+@given(st.floats(-20.0, 20.0))
+def test_without_a_gyro_what_it_added_is_gone_in_time(measured: float) -> None:
+    steering = Steering(GAINS, top=4.0, acceleration=6.0)
+    for gyro in (*[measured] * 5, *[None] * 3):  # by a quarter of 4 rad/s at most, 0.6 of it in each 0.1 s
+        told = steering.steered(1.0, gyro, 0.1)
+    assert told == 1.0
 
 
 def settles(gains: SteeringGains, lag: float) -> bool:
