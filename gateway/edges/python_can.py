@@ -4,16 +4,9 @@ For logs in MF4 it loads asammdf where that is installed, and with it pandas and
 megabytes of a process that reads no logs (measured with 4.6). While it is imported, there is none.
 """
 
-import sys
+from gateway.edges.hidden import hidden
 
-_UNWANTED = "asammdf"
-_hidden = _UNWANTED not in sys.modules
-if _hidden:
-    sys.modules[_UNWANTED] = None  # type: ignore[assignment]  # which the import system takes for "not there"
-try:
+with hidden("asammdf"):
     import can
-finally:
-    if _hidden:
-        del sys.modules[_UNWANTED]
 
 __all__ = ["can"]

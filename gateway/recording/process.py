@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn, Protocol
 
 from gateway.config import RobotConfig
+from gateway.edges.hidden import hide
 from gateway.recording.failures import RecordingOffError, WriterDeadError
 from gateway.recording.incidents import Keeper, keeper
 from gateway.recording.packets import (
@@ -220,7 +221,7 @@ def _writer(config: RobotConfig, hello: Hello) -> Writer:
     if not config.recording.enabled:
         return Unrecorded()
     # Arrow looks for pandas at its first array and loads it where it is there: half as long again until it records.
-    sys.modules.setdefault("pandas", None)  # type: ignore[arg-type]  # which the import system takes for "not there"
+    hide("pandas")
     from gateway.recording.writer import SessionWriter  # noqa: PLC0415  # with Rerun, 75 MB
 
     return SessionWriter(config, hello)
