@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.contract import CanFrame
-from gateway.cli import setup_directions, setup_jog, setup_scan
+from gateway.cli import setup_directions, setup_id, setup_jog, setup_scan
 from gateway.cli.app import build
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.edges.listening import Place
@@ -91,6 +91,17 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
                 take(frame)
         return {}
 
+    def asking(
+        place: Place, seconds: float, take: Callable[[CanFrame], None], **more: Callable[..., object]
+    ) -> dict[str, int]:
+        begin_ns, questions = bench.now_ns, more["questions"]
+        while (gone := (bench.now_ns - begin_ns) * 1e-9) < min(seconds, 10.0) and more.get("going_on", lambda: True)():
+            bench.send([frame._replace(bus="can0") for frame in questions(gone)])  # type: ignore[attr-defined]
+            disturb(bench)
+            for frame in bench.cycle():
+                take(frame)
+        return {}
+
     def turned(bus: Buses, jog: Jog, *rest: object, period_ns: int) -> None:
         before = bench.bus.robot.truth.joint_angles
         loop = partial(turn, clock=lambda: bench.now_ns, sleep=sleep, period_ns=period_ns)
@@ -107,6 +118,7 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
         patch.object(setup_jog, "turn", turned),
         patch.object(setup_directions, "listen", listen),
         patch.object(setup_scan, "listen", listen),
+        patch.object(setup_id, "listen", asking),
     ):
         yield
 
