@@ -6,6 +6,7 @@ from gateway.cli.setup_directions import directions
 from gateway.cli.setup_id import id
 from gateway.cli.setup_jog import jog
 from gateway.cli.setup_new import new
+from gateway.cli.setup_reference import reference
 from gateway.cli.setup_scan import scan
 
 setup = typer.Typer(no_args_is_help=True, help="From a box of parts to a first safe motion, step by step.")
@@ -13,4 +14,5 @@ setup.command()(new)
 setup.command()(scan)
 setup.command()(id)
 setup.command()(directions)
+setup.command()(reference)
 setup.command()(jog)

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.contract import CanFrame
-from gateway.cli import setup_directions, setup_id, setup_jog, setup_scan
+from gateway.cli import setup_directions, setup_id, setup_jog, setup_reference, setup_scan
 from gateway.cli.app import build
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.edges.listening import Place
@@ -119,6 +119,7 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
         patch.object(setup_directions, "listen", listen),
         patch.object(setup_scan, "listen", listen),
         patch.object(setup_id, "listen", asking),
+        patch.object(setup_reference, "listen", listen),
     ):
         yield
 
