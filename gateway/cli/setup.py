@@ -8,6 +8,7 @@ from gateway.cli.setup_jog import jog
 from gateway.cli.setup_new import new
 from gateway.cli.setup_reference import reference
 from gateway.cli.setup_scan import scan
+from gateway.cli.setup_tune import tune
 
 setup = typer.Typer(no_args_is_help=True, help="From a box of parts to a first safe motion, step by step.")
 setup.command()(new)
@@ -16,3 +17,4 @@ setup.command()(id)
 setup.command()(directions)
 setup.command()(reference)
 setup.command()(jog)
+setup.command()(tune)
