@@ -33,7 +33,7 @@ LEAST_EXPLAINED = 0.9  # of the variance of the speed
 WIDEST_INERTIA = 0.15  # half the interval, of the inertia
 WIDEST_DELAY = 0.003  # half the interval, s
 SINGULAR = 1e4  # condition of what the parameters do, each in its own measure, from which they are not told apart
-_HARDER = "raise speed_loop.kp of the robot file, and try again"
+_HARDER = "raise speed_loop.kp of the robot file, and try again; or does something rub, slip, or turn it?"
 _HARDLY = 1e-6  # in all by a parameter of its own size; a share
 
 
