@@ -10,7 +10,7 @@ Everything is in SI at the *motor shaft* (rad, rad/s, N m). Gear ratio and mount
 driver's business: `gateway.control.transmission` applies them, once.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
@@ -151,6 +151,33 @@ class DecodedFrame(NamedTuple):
     owners: tuple[str | None, ...] = ()
 
 
+class Identity(NamedTuple):
+    """What a controller says of itself: its serial number, and its id; None: it has none yet."""
+
+    serial: int
+    id: int | None
+
+
+class RenamingOverCan(NamedTuple):
+    """How controllers get ids by their serial numbers; none of it moves a motor.
+
+    `ask`: every controller on a bus who it is; `told`: what a frame says of that; `give`: on a bus the controller of a
+    serial number an id; `keep`: the one of an id keeps it, also after a power cut; it starts anew for that.
+    """
+
+    ask: Callable[[str], list[CanFrame]]
+    told: Callable[[CanFrame], Identity | None]
+    give: Callable[[str, int, int], list[CanFrame]]
+    keep: Callable[[str, int], list[CanFrame]]
+
+
+class Renaming(NamedTuple):
+    """How a controller gets another of these ids: over CAN, or by a person, with what is to be done for an id."""
+
+    ids: range
+    how: RenamingOverCan | Callable[[int], tuple[str, ...]]
+
+
 class Driver(Protocol):
     """Sans-IO state machine of one group of motors. Per-motor sequences are always in the order of the specs."""
 
@@ -232,4 +259,8 @@ class DriverType(Protocol):
 
     def questions(self, bus: str, heard: Collection[int]) -> list[CanFrame]:
         """Asks controllers who they are, and moves and changes nothing; `heard`: ids that were seen to be theirs."""
+        ...
+
+    def renaming(self, variant: str) -> Renaming:
+        """How a controller of this variant gets another id."""
         ...

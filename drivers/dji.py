@@ -49,6 +49,7 @@ from drivers.contract import (
     MotorSpec,
     MotorState,
     ReceiveFilter,
+    Renaming,
     Traffic,
 )
 from drivers.records import data_frame, maker
@@ -306,6 +307,11 @@ class DjiDriver:
         """None: they answer nothing."""
         return []
 
+    @staticmethod
+    def renaming(variant: str) -> Renaming:
+        """By its button or its switches: the frame that makes all choose anew (AUTO_ID) is never sent."""
+        return Renaming(IDS[variant], _switches if variant == "gm6020" else _presses)
+
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
         """Torque alone, of which braking is the host's speed loop; or a voltage alone, of which none brakes."""
@@ -399,6 +405,25 @@ class DjiDriver:
             data_frame(self._bus, shared.id, _COMMAND.pack(*raws[shared.first : shared.first + MOTORS_PER_FRAME]))
             for shared in self._command_frames
         ]
+
+
+def _presses(at: int) -> tuple[str, ...]:
+    """What a person does for this id; general knowledge, unverified."""
+    return (
+        "press the SET button of the controller once, shortly: its light goes out",
+        f"press it {at} times, shortly, with less than 3 s between: once more for each number; the light follows",
+        "wait for 3 s: it keeps the id; the user guide that came with it is right where it differs",
+    )
+
+
+def _switches(at: int) -> tuple[str, ...]:
+    """What a person does for this id; general knowledge, unverified."""
+    ways = ", ".join([f"{place + 1} {'on' if at >> place & 1 else 'off'}" for place in range(3)])
+    return (
+        "cut the power of the motor",
+        f"set its switches: {ways}; switch 4 is the 120 ohm of the bus's end and no part of the id",
+        "power it again: only then it reads them; the user guide that came with it is right where it differs",
+    )
 
 
 def _mode(motor: MotorSpec) -> Mode:

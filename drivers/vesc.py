@@ -48,6 +48,7 @@ from drivers.contract import (
     MotorSpec,
     MotorState,
     ReceiveFilter,
+    Renaming,
     Traffic,
 )
 from drivers.records import extended_frame, maker
@@ -519,6 +520,11 @@ class VescDriver:
         me = HOST_BIT  # no VESC of ours has this id
         return [extended_frame(bus, PING << ID_BITS | at, bytes([me])) for at in IDS]
 
+    @staticmethod
+    def renaming(variant: str) -> Renaming:
+        """By VESC Tool: of the frames that a CAN bus has for it none changes an id alone."""
+        return Renaming(IDS, _by_tool)
+
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:
         """All but a feed-forward and a limit: the speed loop of a VESC takes neither."""
@@ -632,6 +638,18 @@ class VescDriver:
         if motor is None or (what, packet) != (ANSWER, GET_VALUES_SELECTIVE) or mask not in ANSWERS:
             return None
         return motor, mask, value
+
+
+def _by_tool(at: int) -> tuple[str, ...]:
+    """What a person does for this id; vesc_tool res/config, APPCONF_CONTROLLER_ID.
+
+    Over CAN a whole application configuration could be sent (COMM_SET_APPCONF), which each firmware lays out anew.
+    """
+    return (
+        "connect the VESC by USB and start VESC Tool",
+        f"App Settings, General: VESC ID = {at}; CAN Status Messages and their rate are there too",
+        "write the app configuration: the VESC keeps it",
+    )
 
 
 def _bounds(motor: MotorSpec) -> list[Bound]:

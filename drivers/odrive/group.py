@@ -18,9 +18,10 @@ from drivers.contract import (
     MotorSpec,
     MotorState,
     ReceiveFilter,
+    Renaming,
     Traffic,
 )
-from drivers.odrive import sighting, tables
+from drivers.odrive import renaming, sighting, tables
 from drivers.odrive.axis import Axis, Step
 from drivers.odrive.bringup import advance
 from drivers.odrive.firmware import FIRMWARES, every_word
@@ -81,6 +82,11 @@ class OdriveDriver:
     def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
         """For the firmware of those that were heard."""
         return sighting.questions(bus, heard)
+
+    @staticmethod
+    def renaming(variant: str) -> Renaming:
+        """By serial number from firmware 0.6 on; an older one is set over USB."""
+        return Renaming(NODES, renaming.OVER_CAN if variant == "0.6" else renaming.over_usb)
 
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:

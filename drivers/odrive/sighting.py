@@ -118,8 +118,17 @@ def _version(node: int, data: bytes) -> Sighting:
     return Sighting(NAME, ("0.6",), node, message.name, Evidence.TALK, (("firmware", version),))
 
 
+def _address(node: int, data: bytes) -> Sighting:
+    """Of an ODrive itself, which tells its own node; else a host gives somebody another one."""
+    if len(data) < 7 or data[0] != node:
+        return Sighting(NAME, BOTH, node, "Address", Evidence.COMMAND)
+    told = (("serial", f"{int.from_bytes(data[1:7], 'little'):012X}"),)
+    return Sighting(NAME, ("0.6",), node, "Address", Evidence.TALK, told)
+
+
 _READERS: Final[dict[int, Callable[[int, bytes], Sighting]]] = {
     tables.HEARTBEAT: _heartbeat,
     tables.GET_ENCODER_ESTIMATES: _estimates,
     tables.GET_VERSION: _version,
+    tables.ADDRESS: _address,
 }

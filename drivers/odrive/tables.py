@@ -15,12 +15,14 @@ COMMAND_MASK: Final = 0x1F
 GET_VERSION: Final = 0x00
 HEARTBEAT: Final = 0x01
 RX_SDO: Final = 0x04
+ADDRESS: Final = 0x06
 SET_AXIS_STATE: Final = 0x07
 GET_ENCODER_ESTIMATES: Final = 0x09
 SET_CONTROLLER_MODE: Final = 0x0B
 SET_INPUT_VEL: Final = 0x0D
 SET_INPUT_TORQUE: Final = 0x0E
 SET_LIMITS: Final = 0x0F
+REBOOT: Final = 0x16
 CLEAR_ERRORS: Final = 0x18
 
 SDO_READ, SDO_WRITE = 0, 1
@@ -108,10 +110,10 @@ COMMON_FROM_DEVICE: Final[dict[int, Message]] = {
 
 TO_DEVICE_06: Final = COMMON_TO_DEVICE | {
     RX_SDO: _message("RxSdo", "<BHBI", "Opcode", "Endpoint_ID", "Reserved", "Value"),
-    0x06: _message(
+    ADDRESS: _message(
         "Address", "<Q", Field("Node_ID", 0, 0, 0xFF), Field("Serial_Number", 0, 8, 0xFFFF_FFFF_FFFF), needed=7
     ),
-    0x16: _message("Reboot", "<B", "Action", length=1),
+    REBOOT: _message("Reboot", "<B", "Action", length=1),
     CLEAR_ERRORS: _message("Clear_Errors", "<B", "Identify", length=1),
     0x19: _message("Set_Absolute_Position", "<f", "Position"),
     0x1F: _empty("Enter_DFU_Mode"),

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from gateway.cli.asking import NotAllowedError, Yes, allow, ask
+from gateway.cli.correcting import correct
 from gateway.cli.output import complain, errors, print_json
-from gateway.cli.rewriting import RewriteError, drafted, keep, rewrite
+from gateway.cli.rewriting import RewriteError, drafted
 from gateway.cli.setup_jog import EXIT_REFUSED, run, warning, words
 from gateway.config import Bus, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
@@ -15,8 +16,8 @@ from gateway.edges.claims import refuse_where_commanded
 from gateway.edges.listening import Place, listen
 from gateway.setup.by_hand import HandWatch, Turned
 from gateway.setup.census import Census
-from gateway.setup.correction import CorrectionError, corrected, difference
-from gateway.setup.directions import Change, Device, Directions, FindingError, Trial, says
+from gateway.setup.correction import CorrectionError
+from gateway.setup.directions import Device, Directions, FindingError, Trial, says
 from gateway.setup.jog import USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError
 from gateway.setup.words import positive_ways
 
@@ -52,7 +53,7 @@ def directions(  # noqa: PLR0917  # a command line: each parameter is an option 
         ]
         changes = [change for one in found for change in one.changes()]
         missing = [name for one in found for name in one.missing]
-        kept = _written(file, text, changes, yes=yes)
+        kept = correct(file, text, changes, yes=yes)
     except (
         *(DirectionsError, FindingError, CorrectionError, RewriteError, JogError, NotAllowedError, AdapterError),
         KeyboardInterrupt,
@@ -171,16 +172,3 @@ def _noted(found: Directions, motor: str, turned: Turned) -> None:
         complain(str(error))
     else:
         errors.print(f"{motor}: {turned.driver} id {turned.id}", highlight=False)
-
-
-def _written(file: Path, text: str, changes: list[Change], *, yes: bool) -> Path | None:
-    """Shown, asked, written; the copy that is kept."""
-    if not changes:
-        errors.print(f"{file} is right", highlight=False)
-        return None
-    new = corrected(text, changes, str(file))
-    allow(difference(text, new, str(file)), f"to write this into {file}", yes=yes)
-    kept = keep(file)
-    rewrite(file, new)
-    errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False)
-    return kept

@@ -372,14 +372,25 @@ def _spare_torques(config: RobotConfig, robot: Robot) -> list[tuple[str, float, 
 
 def _mobility(config: RobotConfig, robot: Robot, turn: float) -> float:
     """Rad/s^2 per N m with which wheels give way at most, all of them on the ground: the lightest way to move."""
-    body = config.robot.body
+    lightest = 1.0 / _ways(config, robot, turn)[0]
+    return 1.0 / (lightest + config.robot.body.joint_inertia)
+
+
+def carried_inertia(config: RobotConfig) -> float:
+    """Kg m^2 that a wheel on the ground carries of the robot, without its own, where all move it the heaviest way."""
+    robot = build(config)
+    return max(1.0 / _ways(config, robot, turn)[-1] for turn in _turns(robot))
+
+
+def _ways(config: RobotConfig, robot: Robot, turn: float) -> list[float]:
+    """Rad/s^2 per N m of the ways in which wheels can move the robot together, massless themselves, the most first."""
     scales = [1.0 / sqrt(mass) for mass in config.robot.masses()]
     columns = [
         [speed * scale for speed in _wheel_speeds(robot, axis, turn)]
         for axis, scale in zip(_units(robot), scales, strict=True)
     ]
-    largest = decompose(tuple(zip(*columns, strict=True))).values[0]
-    return largest * largest / (1.0 + body.joint_inertia * largest * largest)
+    found = decompose(tuple(zip(*columns, strict=True)))
+    return [value * value for value in found.values[: found.rank]]
 
 
 def _bus_load(config: RobotConfig, robot: Robot, bus: Bus) -> BusLoad:

@@ -30,7 +30,7 @@ HEADROOM_TO: Final = 0.08  # ... and not at all
 
 
 class Motors:
-    """Owns the drivers. `feedback` is that of the last `measure`, `setpoints` are those of the last `command`."""
+    """Owns the drivers. `feedback` is that of the last `measure`; `setpoints`, `wanted` those of the last `command`."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -43,7 +43,7 @@ class Motors:
         self._standstill = tuple(STANDSTILL * limits.speed for limits in robot.limits)
         self.feedback: tuple[MotorFeedback, ...] = (MotorFeedback(_SILENT),) * size
         self.setpoints: tuple[float | None, ...] = (None,) * size  # rad/s; None: released, or not told a speed
-        self._wanted: list[float | None] = [None] * size  # N m at the output that our speed loops asked for
+        self.wanted: list[float | None] = [None] * size  # N m at the output that our speed loops asked for
 
     def receive(self, frames: Sequence[CanFrame]) -> None:
         """Hand every frame to the driver it belongs to; what belongs to nobody is left out."""
@@ -184,7 +184,7 @@ class Motors:
         torques = list(measured.torques)
         for index in self._untold:
             if torques[index] is None:
-                torques[index] = self._wanted[index]
+                torques[index] = self.wanted[index]
         return torques
 
     def torques_now(self, measured: Measured) -> Sequence[float | None]:
@@ -205,10 +205,10 @@ class Motors:
             if kind is _VELOCITY or kind is _BRAKE:
                 dt = measured.dt
                 torque = loop.torque(command.value, speed, dt, feed_forward=command.feed_forward, limit=command.limit)
-                self._wanted[index] = torque
+                self.wanted[index] = torque
                 return gear.torque_command(torque, speed)
             loop.reset()
-            self._wanted[index] = None
+            self.wanted[index] = None
         if kind is _COAST:
             return COAST
         return BRAKE if kind is _BRAKE else gear.motor_command(command, speed)

@@ -2,12 +2,21 @@
 
 from collections.abc import Iterable
 from difflib import unified_diff
+from typing import NamedTuple
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from gateway.config import ConfigError, parse
-from gateway.setup.directions import Change
+
+
+class Change(NamedTuple):
+    """One number of the robot file; `key`: of its [[motor]], parts of a table joined by a dot."""
+
+    motor: str
+    key: str
+    old: float
+    new: float
 
 
 class CorrectionError(ValueError):
@@ -20,7 +29,11 @@ def corrected(text: str, changes: Iterable[Change], origin: str) -> str:
         document = tomlkit.parse(text)
         motors = {str(motor["name"]): motor for motor in document["motor"]}
         for change in changes:
-            motors[change.motor][change.key] = change.new
+            *tables, key = change.key.split(".")
+            table = motors[change.motor]
+            for name in tables:
+                table = table[name]
+            table[key] = change.new
         new = tomlkit.dumps(document)
         parse(new, origin)
     except (TOMLKitError, ConfigError, KeyError) as error:

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 from gateway.config import Motor, RobotConfig
 from gateway.setup.census import Found
+from gateway.setup.correction import Change
 
 KEYS: Final = ("id", "direction")
 
@@ -48,15 +49,6 @@ class Finding(NamedTuple):
 
     device: Device
     direction: int
-
-
-class Change(NamedTuple):
-    """One number of the robot file."""
-
-    motor: str
-    key: str
-    old: int
-    new: int
 
 
 class FindingError(ValueError):

@@ -25,6 +25,7 @@ from gateway.config import Motor, RobotConfig, SpeedLoop
 from gateway.control.drive_law import COAST, JointCommand, Measured
 from gateway.core.assembly import Robot, build, with_motors
 from gateway.core.motors import Motors
+from gateway.setup.course import Course, trapezoid
 
 SLOWEST, FASTEST = 0.05, 1.0  # rad/s at the output
 SHORTEST, LONGEST = 0.2, 5.0  # s
@@ -121,6 +122,8 @@ class Jog:
         self._name = motor
         self._speed = speed
         self._seconds = seconds
+        self._plan = self._course(abs(speed), seconds)
+        self._robot = robot
         self._motors = Motors(robot)
         self._place = robot.names.index(motor)
         _check_slowness(robot, self._place, speed)
@@ -129,9 +132,11 @@ class Jog:
         self._size = len(robot.names)
         self._torque = robot.limits[self._place].torque
         self._hosted = robot.speed_loops[self._place] is not None
-        step = (robot.capabilities[self._place].speed_step or 0.0) / abs(robot.transmissions[self._place].ratio)
-        self._rest_speed = max(STANDING, 2.0 * step)
-        self._noise = max(SPEED_NOISE, 2.0 * step)
+        self.speed_step = (robot.capabilities[self._place].speed_step or 0.0) / abs(
+            robot.transmissions[self._place].ratio
+        )  # rad/s at the output, by which what it tells differs at least
+        self._rest_speed = max(STANDING, 2.0 * self.speed_step)
+        self._noise = max(SPEED_NOISE, 2.0 * self.speed_step)
         self._entered_ns: int | None = None
         self._before_ns: int | None = None
         self._start: float | None = None  # rad at the output
@@ -159,7 +164,12 @@ class Jog:
         feedback = self._motors.feedback[self._place]
         self._follow(measured)
         self._advance(measured, feedback, now_ns)
-        return [frame for frame in self._frames(measured, now_ns) if frame.bus == self.bus]
+        frames = self._frames(measured, now_ns)
+        self._note(measured)
+        return [frame for frame in frames if frame.bus == self.bus]
+
+    def _note(self, measured: Measured) -> None:
+        """For who wants to know what was measured and told in each cycle."""
 
     def stop_frames(self, *, now_ns: int) -> list[CanFrame]:
         """Frames that brake; for whoever cannot go on with `step`."""
@@ -184,15 +194,13 @@ class Jog:
     def _gone_ns(self, now_ns: int) -> int:
         return 0 if self._entered_ns is None else now_ns - self._entered_ns
 
+    def _course(self, top: float, seconds: float) -> Course:
+        """What it is to follow, in the direction asked for."""
+        return trapezoid(top, seconds, ramp=RAMP)
+
     def _planned(self, gone: float) -> tuple[float, float]:
         """Speed, rad/s, and way, rad, after so many seconds, both positive in the direction asked for."""
-        top, whole = abs(self._speed), self._seconds
-        ramp = RAMP * whole
-        rising, falling = min(gone, ramp), max(0.0, min(gone, whole) - (whole - ramp))
-        steady = max(0.0, min(gone, whole - ramp) - ramp)
-        speed = top * (rising - falling) / ramp if gone < whole else 0.0
-        way = top * (0.5 * rising * rising / ramp + steady + falling - 0.5 * falling * falling / ramp)
-        return speed, way
+        return self._plan.at(gone)
 
     def _enter(self, phase: Phase, now_ns: int) -> None:
         self.phase = phase

@@ -23,6 +23,14 @@ def positive_ways(config: RobotConfig) -> dict[str, str]:
     return ways
 
 
+def zero_way(config: RobotConfig, motor: str) -> str:
+    """How a steered joint stands at its zero."""
+    beneath = config.robot.drawing().beneath
+    if beneath is not None and config.robot.motor_names()[beneath] == motor:
+        return "the body looks to where the wheels beneath it roll when both roll forward"
+    return "it stands at its zero"
+
+
 def rolling(angle: float) -> str:
     """A direction on the floor, rad counter-clockwise from forward, in words."""
     turned = remainder(angle, tau) * 180.0 / pi

@@ -20,6 +20,7 @@ from drivers.contract import (
     MotorSpec,
     MotorState,
     ReceiveFilter,
+    Renaming,
     Traffic,
 )
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
@@ -119,6 +120,10 @@ class ReplyOnlyDriver:
     @staticmethod
     def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
         return []
+
+    @staticmethod
+    def renaming(variant: str) -> Renaming:
+        return Renaming(range(1, 16), lambda at: (f"turn its switch to {at}",))
 
     @property
     def capabilities(self) -> tuple[Capabilities, ...]:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from gateway.config import RobotConfig, parse
 from gateway.setup.by_hand import HandWatch, Turned
 from gateway.setup.census import Census, Found
-from gateway.setup.correction import CorrectionError, corrected, difference
-from gateway.setup.directions import Change, Device, Directions, FindingError, Trial, says
+from gateway.setup.correction import Change, CorrectionError, corrected, difference
+from gateway.setup.directions import Device, Directions, FindingError, Trial, says
 from gateway.setup.jog import Ending, Jog
 from gateway.setup.words import positive_ways, rolling
 from tests.jogging import Bench, ride

@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gateway.config import RobotConfig, parse
+from gateway.setup.excitation import Excitation
 from gateway.setup.jog import LISTEN_NS, Ending, Jog, JogError, Phase
 from tests.jogging import ENDS_NS, MS, QUARTER_TURN, Bench, Ride, ride
 from tests.setup_robots import TRUE
@@ -86,11 +87,11 @@ def test_nothing_is_sent_before_it_has_listened(name: str) -> None:
     assert bench.sent[0][0] >= begun_ns + LISTEN_NS
 
 
-def broken(name: str, fault: str, at_ms: int, speed: float = 0.5) -> tuple[Ride, int | None]:
-    """The jog, and when it was broken, of a fault that comes so many ms after it was armed."""
+def broken(name: str, fault: str, at_ms: int, speed: float | None = 0.5) -> tuple[Ride, int | None]:
+    """The jog (no speed: the steps of speed), and when it was broken, of a fault so many ms after it was armed."""
     config = config_of(name)
     motor = config.motor[0].name
-    bench, jog = Bench(config), Jog(config, motor, speed=speed)
+    bench, jog = Bench(config), Excitation(config, motor) if speed is None else Jog(config, motor, speed=speed)
     armed_ns: list[int] = []
     done: list[int] = []
 
@@ -132,6 +133,26 @@ def released(found: Ride) -> int:
     at = found.began(Phase.RELEASE)
     assert at is not None
     return at
+
+
+HOSTED = [(name, fault) for name, fault in CASES if name in HOLDING]
+
+
+@pytest.mark.parametrize(("name", "fault"), HOSTED)
+@pytest.mark.parametrize("at_ms", [0, 900])
+def test_whatever_breaks_the_steps_of_speed_they_end_as_soon(name: str, fault: str, at_ms: int) -> None:
+    found, broken_ns = broken(name, fault, at_ms, None)
+    assert broken_ns is not None
+    assert found.outcome.ending in (Ending.RUNAWAY, Ending.LOST, Ending.STUCK), found.outcome
+    assert found.furthest() < QUARTER_TURN
+    assert released(found) - seen_ns(found, broken_ns) <= ENDS_NS, found.outcome
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(case=st.sampled_from(HOSTED), at_ms=st.integers(0, 3400))
+def test_no_fault_lets_the_steps_of_speed_run_beyond_their_bound(case: tuple[str, str], at_ms: int) -> None:
+    found, _ = broken(*case, at_ms, None)
+    assert found.furthest() < QUARTER_TURN, found.outcome
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -12,20 +12,20 @@ from io import StringIO
 from math import pi
 from pathlib import Path
 from unittest.mock import patch
+from zlib import crc32
 
 import pytest
-import typer
-from click import ClickException
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.contract import CanFrame
-from gateway.cli import setup_directions, setup_jog, setup_scan
+from gateway.cli import setup_directions, setup_id, setup_jog, setup_reference, setup_scan
 from gateway.cli.app import build
 from gateway.config import ConfigError, RobotConfig, parse
 from gateway.edges.listening import Place
 from gateway.edges.turning import turn
 from gateway.setup.jog import Jog
+from gateway.setup.renaming import KINDS
 from gateway.types import BusEvent
 from tests.gateway.test_jog import FAULTS
 from tests.jogging import QUARTER_TURN, Bench
@@ -91,6 +91,17 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
                 take(frame)
         return {}
 
+    def asking(
+        place: Place, seconds: float, take: Callable[[CanFrame], None], **more: Callable[..., object]
+    ) -> dict[str, int]:
+        begin_ns, questions = bench.now_ns, more["questions"]
+        while (gone := (bench.now_ns - begin_ns) * 1e-9) < min(seconds, 10.0) and more.get("going_on", lambda: True)():
+            bench.send([frame._replace(bus="can0") for frame in questions(gone)])  # type: ignore[attr-defined]
+            disturb(bench)
+            for frame in bench.cycle():
+                take(frame)
+        return {}
+
     def turned(bus: Buses, jog: Jog, *rest: object, period_ns: int) -> None:
         before = bench.bus.robot.truth.joint_angles
         loop = partial(turn, clock=lambda: bench.now_ns, sleep=sleep, period_ns=period_ns)
@@ -107,6 +118,8 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
         patch.object(setup_jog, "turn", turned),
         patch.object(setup_directions, "listen", listen),
         patch.object(setup_scan, "listen", listen),
+        patch.object(setup_id, "listen", asking),
+        patch.object(setup_reference, "listen", listen),
     ):
         yield
 
@@ -123,10 +136,10 @@ def typed(
         out = StringIO()
         with redirect_stdout(out), redirect_stderr(out), patch.object(sys, "argv", ["drivegate"]):
             try:
-                build("setup")(["setup", *arguments], standalone_mode=False)
-            except (typer.Exit, typer.Abort, SystemExit) as error:
-                told.code = error
-            except (ClickException, ConfigError) as error:
+                build("setup")(["setup", *arguments])
+            except SystemExit as error:  # also of what is no option
+                told.code = error.code or None
+            except ConfigError as error:
                 told.code = error
     return told
 
@@ -152,15 +165,35 @@ options = st.lists(
 def call(command: str, config: RobotConfig, file: str, which: int, more: Sequence[Sequence[str]]) -> list[str]:
     if command == "scan":
         return ["scan", "can0", "--ask", f"--file={file}"]
+    options = [word for option in more for word in option if command in TURNING or not word.startswith(MOVING)]
+    if command == "id":
+        motor = config.motor[which % len(config.motor)]
+        kind = next(kind for kind, of in KINDS.items() if of == (motor.driver, motor.variant))
+        serial = f"--serial={crc32(motor.name.encode()):X}"
+        return ["id", "can0", kind, f"--to={which + 4}", *options, *([serial] if "odrive" in kind else [])]
     names = config.robot.motor_names()
-    target = [file, names[which % len(names)]] if command == "jog" else [file]
-    return [command, *target, *(word for option in more for word in option)]
+    target = [file, names[which % len(names)]] if command in ("jog", "tune") else [file]
+    return [command, *target, *options]
+
+
+TURNING = ("jog", "directions")
+MOVING = ("--speed", "--seconds", "--by-hand")
+COMMANDS = ("scan", "id", "jog", "directions", "reference", "tune")
+
+
+def harmless(frame: CanFrame) -> bool:
+    """A question: who is there (ODrive), or a ping (VESC)."""
+    return frame.remote or (frame.extended and frame.id >> 8 == 17)
+
+
+def nodes(bench: Bench) -> list[int]:
+    return [getattr(device, "node", device.setup.id) for device in bench.bus.robot.devices.values()]
 
 
 @SLOW
 @given(
     name=st.sampled_from(sorted(ROBOTS)),
-    command=st.sampled_from(["scan", "jog", "directions"]),
+    command=st.sampled_from(COMMANDS),
     which=st.integers(0, 3),
     more=options,
     lines=st.lists(st.sampled_from(WORDS), max_size=6),
@@ -174,8 +207,11 @@ def test_nothing_moves_without_a_yes(  # noqa: PLR0917
         config, file = written(name, directory)
         bench = Bench(config)
         said = [line for line in lines if line != "yes"] if terminal else lines
+        before = nodes(bench)
         typed(bench, call(command, config, file, which, more), Terminal(said, terminal=terminal))
-        assert bench.sent == []
+        assert all(harmless(frame) for _, frame in bench.sent)
+        assert command == "id" or bench.sent == []
+        assert nodes(bench) == before
         assert set(bench.plant.angles) == {0.0}
         assert Path(file).read_text() == ROBOTS[name]
 
@@ -183,7 +219,7 @@ def test_nothing_moves_without_a_yes(  # noqa: PLR0917
 @SLOW
 @given(
     name=st.sampled_from(sorted(ROBOTS)),
-    command=st.sampled_from(["jog", "directions"]),
+    command=st.sampled_from([one for one in COMMANDS if one != "scan"]),
     which=st.integers(0, 3),
     more=options.map(lambda given: [option for option in given if option != ["--by-hand"]]),
     lines=st.lists(st.sampled_from(WORDS), max_size=6),
@@ -222,3 +258,12 @@ def test_these_tests_can_fail() -> None:
         assert told.code is None
         assert told.ways[0][0] == pytest.approx(0.375, abs=0.05)
         assert bench.sent != []
+        before = nodes(bench)
+        told = typed(bench, call("id", config, file, 0, []), Terminal(["yes"], terminal=True))
+        assert told.code is None
+        assert nodes(bench) != before
+        config, file = written("rectangular", directory)
+        told = typed(Bench(config), call("tune", config, file, 0, []), Terminal(["yes", "yes"], terminal=True))
+        assert told.code is None
+        assert told.ways[0][0] > 1.5
+        assert Path(file).read_text() != ROBOTS["rectangular"]

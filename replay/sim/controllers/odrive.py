@@ -1,11 +1,13 @@
 """Simulated ODrive with CANSimple, firmware 0.5 and 0.6: the frames. What they act on is in `odrive_axis`.
 
-Parameters written over CAN live in RAM: a power cycle forgets them unless they were saved (Reboot 1). That is the
-device's behaviour and the driver's worst case. 0.5 has no Sdo: its watchdog counts as set over USB and saved, and is
-enabled when the robot file gives one. Assumed: no reply to an Sdo write, none to a read of an unknown endpoint.
+Parameters and node ids written over CAN live in RAM: a power cycle forgets them unless they were saved (Reboot 1).
+That is the device's behaviour and the driver's worst case. 0.5 has no Sdo: its watchdog counts as set over USB and
+saved, and is enabled when the robot file gives one. Assumed: no reply to an Sdo write, none to a read of an unknown
+endpoint, and nothing cyclic from one that has no node id.
 """
 
 from collections.abc import Callable, Sequence
+from zlib import crc32
 
 from drivers.contract import CanFrame
 from replay.sim.controllers import odrive_tables as wire
@@ -24,6 +26,8 @@ class SimulatedODrive:
         if setup.variant not in known or not 0 <= setup.id < wire.BROADCAST_NODE:
             raise ValueError(f"motor {setup.name}: variant {setup.variant!r} id {setup.id}: want {known}, 0..62")
         self.setup = setup
+        self.serial = crc32(setup.name.encode())
+        self.node = self._kept_node = setup.id
         self.bus_voltage = 48.0
         self.temperature_c = 30.0
         self.plugged = True
@@ -53,7 +57,7 @@ class SimulatedODrive:
     def receive(self, frame: CanFrame, now_ns: int) -> Sequence[Emission]:
         """Take a frame to our node; a request is answered at once."""
         node, command = frame.id >> wire.NODE_SHIFT, frame.id & wire.COMMAND_MASK
-        if frame.extended or node not in (self.setup.id, wire.BROADCAST_NODE) or not self.acknowledges:
+        if frame.extended or node not in (self.node, wire.BROADCAST_NODE) or not self.acknowledges:
             return ()
         if self._firmware.legacy or command in wire.SETPOINTS:
             self.axis.feed_watchdog(now_ns)
@@ -78,7 +82,7 @@ class SimulatedODrive:
                 emissions.append(self._emission(command, self._reports[command](), clock.due_ns))
                 clock.due_ns += clock.period_ns
         self._next_due_ns = min(clock.due_ns for _, clock in self._clocks)
-        return sorted(emissions) if self.acknowledges else ()
+        return sorted(emissions) if self.acknowledges and self.node != wire.BROADCAST_NODE else ()
 
     def step(self, shaft: Shaft, now_ns: int) -> float:
         """One control period of the axis."""
@@ -105,6 +109,7 @@ class SimulatedODrive:
     def power_on(self) -> None:
         """Boot: IDLE, no errors, position 0 unless the encoder is absolute, saved parameters only."""
         self.powered = True
+        self.node = self._kept_node
         self.axis.reboot()
 
     def power_cycle(self) -> None:
@@ -120,7 +125,7 @@ class SimulatedODrive:
         self.axis.encoder_shift += angle
 
     def _emission(self, command: int, data: bytes, ready_ns: int) -> Emission:
-        return Emission(ready_ns, CanFrame(self.setup.bus, self.setup.id << wire.NODE_SHIFT | command, data))
+        return Emission(ready_ns, CanFrame(self.setup.bus, self.node << wire.NODE_SHIFT | command, data))
 
     # -- host to device ----------------------------------------------------------------------------------------------
 
@@ -139,7 +144,11 @@ class SimulatedODrive:
         if self._firmware.legacy:
             return table
         absolute: _Handler = (4, lambda data: self.axis.set_position(wire.FLOAT.unpack_from(data)[0]))
-        return table | {Command.RX_SDO_06: (wire.SDO.size, self._sdo), Command.SET_ABSOLUTE_POSITION_06: absolute}
+        return table | {
+            Command.RX_SDO_06: (wire.SDO.size, self._sdo),
+            Command.SET_ABSOLUTE_POSITION_06: absolute,
+            Command.ADDRESS_06: (1 + wire.SERIAL_BYTES, self._take_address),
+        }
 
     def _set_controller_mode(self, data: bytes) -> None:
         self.axis.control.control_mode, self.axis.control.input_mode = wire.TWO_U32.unpack_from(data)
@@ -163,10 +172,18 @@ class SimulatedODrive:
         """0: reboot, 1: save and reboot, 2: erase and reboot; 0.5 knows only the first."""
         action = 0 if self._firmware.legacy or not data else data[0]
         if action == 1:
+            self._kept_node = self.node
             self.axis.parameters.save()
         if action == 2:
             self.axis.parameters.erase()
         self.power_cycle()
+
+    def _take_address(self, data: bytes) -> None:
+        """A node id for us, or for another one, which ours is then no more."""
+        if int.from_bytes(data[1 : 1 + wire.SERIAL_BYTES], "little") == self.serial:
+            self.node = data[0]
+        elif data[0] == self.node:
+            self.node = wire.BROADCAST_NODE
 
     def _sdo(self, data: bytes) -> None:
         opcode, endpoint, _ = wire.SDO.unpack_from(data)
@@ -193,6 +210,7 @@ class SimulatedODrive:
         version = wire.VERSION.pack(*wire.PROTOCOL_AND_HARDWARE, *map(int, firmware.split(".")), 0)
         return {
             Command.GET_VERSION: lambda: version,
+            Command.ADDRESS_06: lambda: bytes([self.node]) + self.serial.to_bytes(wire.SERIAL_BYTES, "little"),
             Command.HEARTBEAT: lambda: wire.HEARTBEAT.pack(axis.errors, axis.state, axis.result, 0, 0),
             Command.GET_ERROR: lambda: wire.TWO_U32.pack(axis.errors, axis.disarm_reason),
             Command.GET_TEMPERATURE_06: lambda: floats(self.temperature_c, self.temperature_c),

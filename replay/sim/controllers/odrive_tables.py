@@ -25,6 +25,7 @@ INPUT_POSITION = Struct("<fhh")  # turns, 0.001 turns/s, 0.001 N m
 SDO = Struct("<BHB")  # opcode (1: write), endpoint, reserved; then the value
 SDO_WRITE = 1
 SDO_REPLY = Struct("<xHx4s")  # endpoint, value
+SERIAL_BYTES = 6  # of Address, after the node id
 
 PROTOCOL_AND_HARDWARE = (2, 5, 2, 0)
 DEFAULT_FIRMWARE = "0.6.10"
@@ -54,6 +55,7 @@ class Command(IntEnum):
     GET_ENCODER_ERROR_05 = 0x04
     TX_SDO_06 = 0x05
     GET_SENSORLESS_ERROR_05 = 0x05
+    ADDRESS_06 = 0x06
     SET_AXIS_STATE = 0x07
     GET_ENCODER_ESTIMATES = 0x09
     SET_CONTROLLER_MODE = 0x0B

@@ -1,0 +1,25 @@
+"""A robot file is corrected: shown, asked, written; the one before is kept."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gateway.cli.asking import allow
+from gateway.cli.output import errors
+from gateway.cli.rewriting import keep, rewrite
+from gateway.setup.correction import Change, corrected, difference
+
+
+def correct(file: Path, text: str, changes: Sequence[Change], *, yes: bool) -> Path | None:
+    """The copy that is kept; None: nothing is to be changed.
+
+    Raises CorrectionError, NotAllowedError, RewriteError: the file is as it was.
+    """
+    if not changes:
+        errors.print(f"{file} is right", highlight=False)
+        return None
+    new = corrected(text, changes, str(file))
+    allow(difference(text, new, str(file)), f"to write this into {file}", yes=yes)
+    kept = keep(file)
+    rewrite(file, new)
+    errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False)
+    return kept
