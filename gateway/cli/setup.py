@@ -2,6 +2,8 @@
 
 import typer
 
+from gateway.cli.setup_calibrate import calibrate
+from gateway.cli.setup_covariance import covariance
 from gateway.cli.setup_directions import directions
 from gateway.cli.setup_jog import jog
 from gateway.cli.setup_new import new
@@ -12,3 +14,5 @@ setup.command()(new)
 setup.command()(scan)
 setup.command()(directions)
 setup.command()(jog)
+setup.command()(calibrate)
+setup.command()(covariance)
