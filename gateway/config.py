@@ -22,8 +22,9 @@ from gateway.chassis import AnyRobot
 from gateway.errors import EXIT_CONFIG, UserError
 from gateway.guess import guess
 from gateway.sections import Form, Limit, Name, NonNegative, Positive, Rate, Section, Unit
-from gateway.types import PLANAR, Rates, SensorKind, Twist
+from gateway.types import CHOSEN_GROWTH, PLANAR, Growth, Rates, SensorKind, Twist
 
+Variance = Annotated[float, Field(ge=1e-10, le=1.0)]
 Bytes = Annotated[int, Field(ge=1_000_000, le=10**13), Unit("bytes")]
 _INTERFACE_NAME = r"(?!\.{1,2}$)[^\s/:]{1,15}"  # dev_valid_name of the kernel (net/core/dev.c)
 SENSOR_PERIODS = 3  # of a sensor on a bus until it may count as silent
@@ -370,6 +371,24 @@ class Commands(Section):
     source: Annotated[list[Source], Field(min_length=1, max_length=32, description="who may command")]
 
 
+class OdometryGrowth(Section):
+    """How far wheels may be trusted: variances by which the covariance of the odometry grows; measured, or chosen."""
+
+    variance_per_metre: Annotated[
+        Variance, Field(description="of the position, along each axis, by a metre driven"), Unit("m^2/m")
+    ] = CHOSEN_GROWTH.position
+    heading_variance_per_radian: Annotated[
+        Variance, Field(description="of the heading, by a radian turned"), Unit("rad^2/rad")
+    ] = CHOSEN_GROWTH.heading_turning
+    heading_variance_per_metre: Annotated[
+        Variance, Field(description="of the heading, by a metre driven"), Unit("rad^2/m")
+    ] = CHOSEN_GROWTH.heading_driving
+
+    def growth(self) -> Growth:
+        """The three numbers as the core has them."""
+        return Growth(self.variance_per_metre, self.heading_variance_per_radian, self.heading_variance_per_metre)
+
+
 class Zenoh(Section):
     """Loopback only and no scouting unless said otherwise here."""
 
@@ -434,6 +453,7 @@ class RobotConfig(Section):
     bus: Annotated[list[Bus], Field(min_length=1, max_length=8, description="a table for each CAN interface")]
     commands: Annotated[Commands, Field(description="who may command")]
     sensor: Annotated[list[Sensor], Field(max_length=16, description="a table for each sensor")] = Field([])
+    odometry: Annotated[OdometryGrowth, Field(description="how far the wheels may be trusted")] = OdometryGrowth()
     settings: Annotated[
         dict[Name, float], Field(description="what `drivegate set` may change, as it is at the start")
     ] = Field({})

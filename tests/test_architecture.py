@@ -51,6 +51,7 @@ ROOMS: dict[str, set[str]] = {
         "gateway/core",
         "gateway/edges",
         "gateway/paths",
+        "gateway/setup",
     },
     "replay": set(),
     "replay/sim/controllers": {"drivers", "ground"},
@@ -80,6 +81,10 @@ ROOMS: dict[str, set[str]] = {
     "replay/identify": {
         *("drivers", "ground", "robot file", "gateway/chassis", "gateway/control", "gateway/core"),
         *("replay/sessions", "replay/compare", "replay/drive", "replay/sim/plants"),
+    },
+    "replay/calibrate": {
+        *("ground", "robot file", "gateway/chassis", "gateway/kinematics", "gateway/setup"),
+        *("replay/sessions", "replay/identify"),
     },
     "replay/reproduce": {
         *(
@@ -121,7 +126,7 @@ PYDANTIC_FILES = {
         "replay/drive/scenario_file.py",
     ),
     "replay/inject/injection.py",
-    *("gateway/paths/path_file.py", "gateway/setup/fields.py"),
+    *("gateway/paths/path_file.py", "gateway/setup/courses.py", "gateway/setup/fields.py"),
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
 DRAWING_FILE = "replay/reproduce/drawing.py"  # the only one that knows Matplotlib
@@ -130,7 +135,14 @@ CAN_FILE = "gateway/edges/python_can.py"  # whence everybody else has python-can
 MF4_FILE = "replay/logs/mf4_files.py"  # the only one that knows asammdf, which is an extra
 MF4_USERS = {"replay/logs/export.py"}  # within a function: it cannot be imported without that extra
 # The only ones that know SciPy, which takes a third of a second to import.
-FITTING_FILES = {"replay/identify/fit.py", "replay/identify/gains.py", "replay/identify/response.py"}
+FITTING_FILES = {
+    *(
+        "replay/calibrate/fitting.py",
+        "replay/identify/fit.py",
+        "replay/identify/gains.py",
+        "replay/identify/response.py",
+    ),
+}
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 

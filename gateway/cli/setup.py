@@ -2,6 +2,8 @@
 
 import typer
 
+from gateway.cli.setup_calibrate import calibrate
+from gateway.cli.setup_covariance import covariance
 from gateway.cli.setup_directions import directions
 from gateway.cli.setup_id import id
 from gateway.cli.setup_jog import jog
@@ -18,3 +20,5 @@ setup.command()(directions)
 setup.command()(reference)
 setup.command()(jog)
 setup.command()(tune)
+setup.command()(calibrate)
+setup.command()(covariance)

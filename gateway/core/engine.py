@@ -125,7 +125,9 @@ class Engine:
         self._limp_watch = LimpWatch(self._velocity, config.degraded.speed)
         self._health = HealthMonitor(robot.names, limits=robot.limits)
         self._torque_loss = _torque_loss_detector(robot, config)
-        self._odometry = WheelOdometry(robot.kinematics, top_speeds=top_speeds, sideways=config.robot.SIDEWAYS)
+        self._odometry = WheelOdometry(
+            robot.kinematics, top_speeds=top_speeds, sideways=config.robot.SIDEWAYS, growth=config.odometry.growth()
+        )
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz, ports=robot.ports)
         self._settings = Settings(config.settings, robot.law)

@@ -15,16 +15,10 @@ from drivers.records import maker
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import ALIKE, Sideways
 from gateway.kinematics.contract import Kinematics
-from gateway.types import NO_DISPLACEMENT, Displacement, Odometry, Pose, Twist
+from gateway.types import CHOSEN_GROWTH, NO_DISPLACEMENT, Displacement, Growth, Odometry, Pose, Twist
 
 _pose: Final = maker(Pose)
 _displacement: Final = maker(Displacement)
-# Variance per metre forward and per radian driven: 2 % of a metre after a metre, as usual for wheel odometry on a hard
-# floor.
-# Source: chosen by us until a robot has been measured; stated in the README.
-_VARIANCE_PER_METRE: Final = 4e-4  # m^2/m
-_HEADING_VARIANCE_PER_RADIAN: Final = 4e-4  # rad^2/rad
-_HEADING_VARIANCE_PER_METRE: Final = 1e-4  # rad^2/m
 # A gyro's heading wanders with time and errs by its scale: 1 mrad after a second, 1 % of a turn of 1 rad.
 # Source: chosen by us for an uncalibrated MEMS gyro.
 _GYRO_VARIANCE_PER_SECOND: Final = 1e-6  # rad^2/s
@@ -62,11 +56,19 @@ def advance(pose: Pose, way: Displacement) -> Pose:
 class WheelOdometry:
     """Integrates output positions (rad) of the driven joints; one writer, the engine.
 
-    `sideways`: how much more than forward the chassis errs that way.
+    `sideways`: how much more than forward the chassis errs that way; `growth`: how much it errs forward.
     """
 
-    def __init__(self, kinematics: Kinematics, *, top_speeds: Sequence[float], sideways: Sideways = ALIKE) -> None:
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        *,
+        top_speeds: Sequence[float],
+        sideways: Sideways = ALIKE,
+        growth: Growth = CHOSEN_GROWTH,
+    ) -> None:
         self._kinematics = kinematics
+        self._growth = growth
         self._sideways = sideways
         self._top_speeds = tuple(top_speeds)
         self._positions: list[float | None] = [None] * len(self._top_speeds)
@@ -219,7 +221,7 @@ class WheelOdometry:
         self._way += abs(way.x) + self._sideways.position * abs(way.y)
         turning_way = abs(way.x) + self._sideways.heading * abs(way.y)
         self._bridged += way.turn
-        self._bridge_variance += _turning_variance(abs(way.turn), turning_way, slip_variance)
+        self._bridge_variance += self._turning_variance(abs(way.turn), turning_way, slip_variance)
         self._bridge_time += dt
         if way != NO_DISPLACEMENT:
             self.pose = advance(self.pose, way)
@@ -248,8 +250,9 @@ class WheelOdometry:
         """P <- F P F' + Q for the motion since the last call; F moves the lever of the heading error."""
         dx, dy = self.pose.x - self._reference.x, self.pose.y - self._reference.y
         slip = self._slip_variance * _SLIP_CORRELATION
-        across = _VARIANCE_PER_METRE * self._way + slip
-        heading = _turning_variance(self._turned, self._turning_way, self._turning_slip_variance) + self._gyro_variance
+        across = self._growth.position * self._way + slip
+        turned, way = self._turned, self._turning_way
+        heading = self._turning_variance(turned, way, self._turning_slip_variance) + self._gyro_variance
         xx, xy, xt, _, yy, yt, _, _, tt = self._covariance
         new_xx = xx - 2.0 * dy * xt + dy * dy * tt + across
         new_xy = xy + dx * xt - dy * yt - dx * dy * tt
@@ -263,11 +266,10 @@ class WheelOdometry:
         self._slip_spread = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._turned = self._turning_way = self._turning_slip_variance = self._gyro_variance = 0.0
 
-
-def _turning_variance(turned: float, way: float, slip_variance: float) -> float:
-    """Of a turn that the wheels tell, rad^2."""
-    return (
-        _HEADING_VARIANCE_PER_RADIAN * turned
-        + _HEADING_VARIANCE_PER_METRE * way
-        + slip_variance * _SLIP_CORRELATION / (_SLIP_LEVER * _SLIP_LEVER)
-    )
+    def _turning_variance(self, turned: float, way: float, slip_variance: float) -> float:
+        """Of a turn that the wheels tell, rad^2."""
+        return (
+            self._growth.heading_turning * turned
+            + self._growth.heading_driving * way
+            + slip_variance * _SLIP_CORRELATION / (_SLIP_LEVER * _SLIP_LEVER)
+        )

@@ -54,7 +54,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.motors.Motors": frozenset({"_receivers", "_standstill", "_untold"}),
     "gateway.core.arbiter.Arbiter": frozenset({"_abilities", "_timeout_ns"}),
     "gateway.core.health.HealthMonitor": frozenset({"_limits", "_names", "_well"}),
-    "gateway.core.odometry.WheelOdometry": frozenset({"_kinematics", "_sideways", "_top_speeds"}),
+    "gateway.core.odometry.WheelOdometry": frozenset({"_growth", "_kinematics", "_sideways", "_top_speeds"}),
     "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),
     "gateway.core.sensors.Sensors": frozenset({"_kinds", "_listeners", "_timeouts_ns", "_top_turn"}),
     "gateway.core.settings.Settings": frozenset(),

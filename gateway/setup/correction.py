@@ -1,11 +1,13 @@
-"""Puts numbers of motors into the text of a robot file, everything else as it was. Pure."""
+"""Puts numbers into the text of a robot file, everything else as it was. Pure."""
 
 from collections.abc import Iterable
 from difflib import unified_diff
-from typing import NamedTuple
+from math import floor, log10
+from typing import Any, NamedTuple
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import Array, InlineTable
 
 from gateway.config import ConfigError, parse
 
@@ -21,6 +23,14 @@ class Change(NamedTuple):
 
 class CorrectionError(ValueError):
     """Why the text cannot be changed so."""
+
+
+class Entry(NamedTuple):
+    """One number by its keys and places, and what is said behind it."""
+
+    place: tuple[str | int, ...]
+    value: float
+    note: str
 
 
 def corrected(text: str, changes: Iterable[Change], origin: str) -> str:
@@ -39,6 +49,37 @@ def corrected(text: str, changes: Iterable[Change], origin: str) -> str:
     except (TOMLKitError, ConfigError, KeyError) as error:
         raise CorrectionError(f"{origin}: cannot be changed: {error}") from None
     return new
+
+
+def with_entries(text: str, entries: Iterable[Entry], origin: str) -> str:
+    """The text with these numbers, each with its note as a comment. Raises CorrectionError."""
+    try:
+        document = tomlkit.parse(text)
+        for entry in entries:
+            _put(document, entry)
+        new = tomlkit.dumps(document)
+        parse(new, origin)
+    except (TOMLKitError, ConfigError, KeyError, IndexError) as error:
+        raise CorrectionError(f"{origin}: cannot be changed: {error}") from None
+    return new
+
+
+def rounded(value: float, half: float) -> float:
+    """To a hundredth of what is not sure of it."""
+    return round(value, 2 - floor(log10(half))) if half > 0.0 else value
+
+
+def _put(document: tomlkit.TOMLDocument, entry: Entry) -> None:
+    table: Any = document
+    *path, key = entry.place
+    inline: list[Any] = []  # within those a comment would swallow the rest: it goes behind the whole
+    for part in path:
+        if part not in table and not isinstance(part, int):
+            table[part] = tomlkit.table()
+        table = table[part]
+        inline += [table] if isinstance(table, InlineTable | Array) else []
+    table[key] = entry.value
+    (inline[0] if inline else table[key]).comment(entry.note)
 
 
 def difference(old: str, new: str, origin: str) -> str:

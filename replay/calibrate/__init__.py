@@ -1,0 +1,1 @@
+"""What a robot file says of wheels, from recorded drives whose ends were measured."""

@@ -1,0 +1,222 @@
+"""From measured courses to the geometry of a robot file, each number with its interval, or to why not."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.config import RobotConfig
+from gateway.kinematics.contract import GeometryError
+from gateway.setup.courses import CourseError, CourseName, Courses
+from replay.calibrate.fitting import (
+    DOUBT,
+    LEAST_SPARE,
+    End,
+    Fit,
+    NoFitError,
+    Solved,
+    Untold,
+    derivative,
+    quantile,
+    solved,
+)
+from replay.calibrate.models import Model, Number, Told, model_of
+from replay.calibrate.umbmark import Umbmark, umbmark
+from replay.calibrate.ways import Array, Driven, end_of, off, tape_noise, traced
+
+
+class Refused(NamedTuple):
+    """A number that these courses do not tell."""
+
+    name: str
+    reason: str
+
+
+class Calibrated(NamedTuple):
+    """`before`, `after`: rms of measured less told ends, m and rad, by the file as it was and as it is found.
+
+    `chance`: of what the odometry says of itself, that showed; `squares`: where some were driven both ways.
+    """
+
+    numbers: list[Number]
+    told: list[Told]
+    refused: list[Refused]
+    before: tuple[float, float]
+    after: tuple[float, float]
+    chance: float
+    spare: int
+    squares: Umbmark | None
+    squares_after: Umbmark | None
+
+
+def calibrated(config: RobotConfig, courses: Courses, driven: Sequence[Driven]) -> Calibrated:
+    """Raises CourseError where nothing can be said at all."""
+    model = model_of(config.robot, driven)
+    _check_spare(driven, 1 if model.optional else len(model.start))
+    free, refused, (values, fit) = _best(config, courses, model, driven)
+    _refuse_misfits(courses, model, driven, values, fit)
+    covariance = np.zeros((len(model.start),) * 2)
+    covariance[np.ix_(free, free)] = fit.covariance
+    numbers = model.numbers(values, covariance, quantile(fit.spare))
+    refused |= {one.name: _wide(one.half, one.unit, one.widest) for one in numbers if one.half > one.widest}
+    return Calibrated(
+        [one for one in numbers if one.name not in refused],
+        model.told(values, covariance, quantile(fit.spare)),
+        [Refused(*one) for one in refused.items()],
+        _left(model, driven, model.start),
+        _left(model, driven, values),
+        fit.chance,
+        fit.spare,
+        _squares(config, model, driven, model.start),
+        _squares(config, model, driven, values),
+    )
+
+
+def _best(
+    config: RobotConfig, courses: Courses, model: Model, driven: Sequence[Driven]
+) -> tuple[list[int], dict[str, str], Solved]:
+    """Places of the numbers that are told, reasons of those that are not, and all values. Raises CourseError."""
+    free, refused = list(range(len(model.start))), dict[str, str]()
+    while True:
+        found = _told(model, free, _solved(config, courses, model, driven, free))
+        if isinstance(found, Solved):
+            return free, refused, found
+        refused[model.names[found.at]] = found.reason
+        free.remove(found.at)
+        if not model.optional or not free:
+            raise CourseError("; ".join(f"{name}: {why}" for name, why in refused.items()))
+
+
+def _solved(
+    config: RobotConfig, courses: Courses, model: Model, driven: Sequence[Driven], free: Sequence[int]
+) -> Solved | Untold:
+    """All values, those that are not free as the file has them. Raises CourseError."""
+    growth = np.array(config.odometry.growth())
+
+    def whole(part: Array) -> Array:
+        found = model.start.copy()
+        found[list(free)] = part
+        return found
+
+    def ends_at(part: Array) -> list[End]:
+        return [_end(config, courses, model, one, growth, whole, part, model.scales[list(free)]) for one in driven]
+
+    try:
+        found = solved(ends_at, model.start[list(free)], model.scales[list(free)])
+    except (NoFitError, GeometryError) as error:
+        raise CourseError(str(error)) from None
+    return found if isinstance(found, Untold) else found._replace(values=whole(found.values))
+
+
+def _end(  # noqa: PLR0917  # all that an end hangs on
+    config: RobotConfig,
+    courses: Courses,
+    model: Model,
+    one: Driven,
+    growth: Array,
+    whole: Callable[[Array], Array],
+    part: Array,
+    scales: Array,
+) -> End:
+    """What of it was measured."""
+    trace = traced(model.way(one, whole(part)), config.robot.SIDEWAYS)
+    known = np.isfinite(one.end)
+    by = derivative(lambda at: end_of(model.way(one, whole(at))), part, scales)
+    square = np.ix_(known, known)
+    return End(
+        off(one.end, trace.end)[known],
+        by[known],
+        tape_noise(courses, trace.end)[square],
+        np.tensordot(growth, trace.grown, axes=1)[square],
+    )
+
+
+class _Least(NamedTuple):
+    """The place of a number that these courses do not tell."""
+
+    at: int
+    reason: str
+
+
+def _told(model: Model, free: Sequence[int], found: Solved | Untold) -> Solved | _Least:
+    """All, where every number is told well enough; else the one that is told least."""
+    if isinstance(found, Untold):
+        at = free[int(np.argmax(np.abs(found.direction)))]
+        direction = np.zeros(len(model.start))
+        direction[list(free)] = found.direction
+        return _Least(at, f"these courses do not tell it: {model.missing(direction)}")
+    halves = found.fit.halves
+    doubt = halves / model.widest[list(free)]
+    worst = int(np.argmax(doubt))
+    if doubt[worst] <= 1.0:
+        return found
+    at = free[worst]
+    told = _wide(float(halves[worst]), "", float(model.widest[at]))
+    return _Least(at, f"{told}; {model.missing(np.eye(len(model.start))[at])}")
+
+
+def _wide(half: float, unit: str, widest: float) -> str:
+    return (
+        f"only to +-{half:.2g}{' ' if unit else ''}{unit}, more than {widest:.2g}: repeat the courses, or longer ones"
+    )
+
+
+def _check_spare(driven: Sequence[Driven], sought: int) -> None:
+    measured = sum(int(np.count_nonzero(np.isfinite(one.end))) for one in driven)
+    if measured < sought + LEAST_SPARE:
+        raise CourseError(
+            f"{measured} numbers were measured, and {sought} are sought: at least {LEAST_SPARE} more, so that errors "
+            "show: measure more courses"
+        )
+
+
+def _refuse_misfits(courses: Courses, model: Model, driven: Sequence[Driven], values: Array, fit: Fit) -> None:
+    """Raises CourseError for ends that are not those of tape and chance."""
+    if fit.odd is not None and fit.odd[1] < DOUBT:
+        one = driven[fit.odd[0]]
+        x, y, turn = off(one.end, end_of(model.way(one, values)))
+        raise CourseError(
+            f"{one.label}: does not fit the others: it ends {_words(x, y, turn)} from where these have it (by chance "
+            f"{fit.odd[1]:.1g}): a wrong number, or a wheel slipped there"
+        )
+    if fit.doubt < DOUBT:
+        length, turn = _left(model, driven, values)
+        raise CourseError(
+            f"ends are {length:.3g} m and {turn:.2g} rad (rms) from where the best geometry has them, more than tape "
+            f"({courses.tape:g} m, {courses.angle:g} rad) and the odometry's own covariance explain: wheels slipped, "
+            "numbers are wrong, or the chassis is no such one"
+        )
+
+
+def _words(x: float, y: float, turn: float) -> str:
+    parts = [f"{value:+.3f} {unit} in {name}" for name, value, unit in zip("xy", (x, y), "mm", strict=True)]
+    parts.append(f"{turn:+.3f} rad in turn")
+    return ", ".join(part for part, value in zip(parts, (x, y, turn), strict=True) if np.isfinite(value))
+
+
+def _left(model: Model, driven: Sequence[Driven], values: Array) -> tuple[float, float]:
+    """Rms of measured less told, m and rad; 0 where nothing of a kind was measured."""
+    every = np.array([off(one.end, end_of(model.way(one, values))) for one in driven])
+    found = []
+    for part in (every[:, :2], every[:, 2]):
+        known = part[np.isfinite(part)]
+        found.append(float(np.sqrt(np.mean(known * known))) if known.size else 0.0)
+    return found[0], found[1]
+
+
+def _squares(config: RobotConfig, model: Model, driven: Sequence[Driven], values: Array) -> Umbmark | None:
+    """Where squares of one length were driven both ways."""
+    ends: dict[CourseName, list[tuple[float, float]]] = {CourseName.SQUARE_LEFT: [], CourseName.SQUARE_RIGHT: []}
+    lengths = set()
+    for one in driven:
+        if one.course.course in ends:
+            x, y, _ = off(one.end, end_of(model.way(one, values)))
+            if np.isfinite(x) and np.isfinite(y):
+                ends[one.course.course].append((float(x), float(y)))
+                lengths.add(one.course.length)
+    if not all(ends.values()) or len(lengths) != 1:
+        return None
+    robot = config.robot
+    track = robot.track if isinstance(robot, OffsetDifferentialRobot) else None
+    return umbmark(*ends.values(), length=lengths.pop(), track=track)
