@@ -88,6 +88,7 @@ class MecanumRobot(Section):
         return Drawing(
             reach=max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel),
             wheels=tuple(DrawnWheel(wheel.x, wheel.y, 0.0, wheel.radius) for wheel in self.wheel),
+            rollers=True,
         )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:

@@ -15,6 +15,7 @@ from gateway.chassis.contract import (
     NAME,
     ChassisChannels,
     Drawing,
+    DrawnLength,
     DrawnWheel,
     LawParts,
     LoopLimit,
@@ -250,6 +251,10 @@ class OffsetDifferentialRobot(Section):
             wheels=(DrawnWheel(rear, half, 0.0, radius), DrawnWheel(rear, -half, 0.0, radius)),
             frame=((rear, half), (front, half / 2), (front, -half / 2), (rear, -half), (rear, half)),
             beneath=PLATFORM,
+            lengths=(
+                DrawnLength("axle_offset", (0.0, 0.0), (rear, 0.0)),
+                DrawnLength("track", (rear, half), (rear, -half)),
+            ),
         )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:

@@ -170,6 +170,7 @@ class OmniRobot(Section):
         return Drawing(
             reach=max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel),
             wheels=tuple(DrawnWheel(wheel.x, wheel.y, wheel.axis_angle + pi / 2, wheel.radius) for wheel in self.wheel),
+            rollers=True,
         )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
