@@ -19,7 +19,7 @@ def place(kind: str) -> Path:
 
 def figure(kind: str) -> str:
     """As it has to be."""
-    return svg(from_above(load(robot_files.bundled()[SHOWN[kind]])[0]))
+    return svg(from_above(load(robot_files.bundled()[SHOWN[kind]])[0].robot))
 
 
 if __name__ == "__main__":

@@ -9,11 +9,11 @@ every chassis gives. Where a mark is on the paper is in px, x to the right and y
 
 from collections.abc import Sequence
 from math import pi, sqrt
+from textwrap import wrap
 from typing import Final, NamedTuple
 
 from gateway.arithmetic import dot, sin_cos
-from gateway.chassis.contract import Drawing, DrawnLength, Point
-from gateway.config import RobotConfig
+from gateway.chassis.contract import Chassis, Drawing, DrawnLength, Point
 from gateway.setup.signs import JointSign, WheelSign, signs
 from gateway.setup.words import positive_ways
 from gateway.types import PLANAR
@@ -30,9 +30,15 @@ _SLIDE: Final = 1.35
 _ASIDE: Final = 0.6
 _STRIPES: Final = (-0.75, -0.375, 0.0, 0.375, 0.75)  # where rollers are drawn, in radii along the wheel
 _HEAD: Final = 11.0  # px of an arrow's head
+UNSEEN: Final = (
+    "Motors that all turn the other way, or that are mixed up left and right, drive alike in the simulation, and no "
+    "file shows them: `drivegate setup directions` tries each motor while you watch."
+)
 _BADGE: Final = 11.0  # px, radius of the circle around a number
 _TURN: Final = (0.15 * pi, 0.42 * pi)  # rad from forward to the left, from where to where the arrow of a joint goes
-_STEPS: Final = 48
+_ROUND_STEPS: Final = 48
+_ARROW_STEPS: Final = 8  # each longer than the head
+_LETTERS: Final = 78  # in a line
 _ALONG: Final = 0.2  # of a unit vector: less of it is hardly any
 _ROUND: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # m
 
@@ -117,7 +123,7 @@ class _Paper:
         self.marks.append(Mark(style, points, closed=True, of=of))
 
     def circle(self, style: str, middle: Point, radius: float) -> None:
-        self.area(style, *_arc(middle, radius, 0.0, 2.0 * pi * (1.0 - 1.0 / _STEPS)))
+        self.area(style, *_arc(middle, radius, 0.0, 2.0 * pi, steps=_ROUND_STEPS))
 
     def arrow(self, style: str, *points: Point, of: str = "") -> None:
         """A line with a head at its end, which is of the style with this name and _head."""
@@ -153,9 +159,9 @@ class _Ground:
         return tuple(map(self.at, places))
 
 
-def from_above(config: RobotConfig) -> Sheet:
+def from_above(robot: Chassis) -> Sheet:
     """Raises GeometryError."""
-    told, drawing = signs(config.robot), config.robot.drawing()
+    told, drawing = signs(robot), robot.drawing()
     ground, paper = _Ground(_extent(drawing, told)), _Paper()
     _body(paper, ground, drawing)
     for sign in told:
@@ -166,13 +172,13 @@ def from_above(config: RobotConfig) -> Sheet:
     _axes(paper, ground, drawing.reach)
     for number, sign in enumerate(told, start=1):
         if isinstance(sign, WheelSign):
-            _wheel_signs(paper, ground, sign, config.robot.AXES[len(PLANAR) :], str(number))
+            _wheel_signs(paper, ground, sign, robot.AXES[len(PLANAR) :], str(number))
         else:
             _joint(paper, ground, sign, drawing.reach, str(number))
     _scale_bar(paper, ground)
-    ways = [f"{motor}: {way}" for motor, way in positive_ways(config).items()]
-    bottom = _legend(paper, ground.bottom + 3.5 * _LINE, ways, config)
-    title = f"{config.robot.name} ({config.robot.kind}) from above"
+    ways = [f"{motor}: {way}" for motor, way in positive_ways(robot).items()]
+    bottom = _legend(paper, ground.bottom + 3.5 * _LINE, ways, robot)
+    title = f"{robot.name} ({robot.kind}) from above"
     paper.say(title, (_EDGE, 34.0), strong=True, size=19.0)
     paper.say("What each motor does when it turns positively. x is forward, y to the left; to scale.", (_EDGE, 58.0))
     white = Mark("paper", ((0.0, 0.0), (WIDTH, 0.0), (WIDTH, bottom), (0.0, bottom)), closed=True)
@@ -244,7 +250,7 @@ def _joint(paper: _Paper, ground: _Ground, sign: JointSign, reach: float, number
     paper.circle("joint", middle, 6.0)
     first, last = _TURN if sign.turns > 0.0 else (_TURN[1], _TURN[0])
     # From forward, counter-clockwise: on the paper forward is at -90 degrees, and angles grow clockwise.
-    paper.arrow("turns", *_arc(middle, radius, -0.5 * pi - first, -0.5 * pi - last), of=sign.motor)
+    paper.arrow("turns", *_arc(middle, radius, -0.5 * pi - first, -0.5 * pi - last, steps=_ARROW_STEPS), of=sign.motor)
     s, c = sin_cos(0.5 * (first + last))
     _badge(paper, ground.at((reach * c, reach * s)), number)
 
@@ -290,27 +296,28 @@ def _scale_bar(paper: _Paper, ground: _Ground) -> None:
     paper.say(f"{metres:g} m", (right + 10.0, y + 4.0))
 
 
-def _legend(paper: _Paper, top: float, ways: Sequence[str], config: RobotConfig) -> float:
+def _legend(paper: _Paper, top: float, ways: Sequence[str], robot: Chassis) -> float:
     """In words what is seen, and what each motor does; where it ends."""
     y = top
     for number, way in enumerate(ways, start=1):
         _badge(paper, (_EDGE + _BADGE, y), str(number))
-        paper.say(way, (_EDGE + 2.0 * _BADGE + 14.0, y + 5.0))
-        y += _LINE + 4.0
+        y = _told(paper, way, _EDGE + 2.0 * _BADGE + 14.0, y) + 4.0
     y += 0.4 * _LINE
     seen = {mark.style for mark in paper.marks}
-    for style, words in _explained(config):
+    for style, words in _explained(robot):
         if style not in seen:
             continue
         _sample(paper, style, y)
-        for line in words:
-            paper.say(line, (_EDGE + _SAMPLE + 14.0, y + 5.0))
-            y += _LINE
-    y += 0.4 * _LINE
-    for line in _HINTS:
-        paper.say(line, (_EDGE, y + 5.0))
+        y = _told(paper, words, _EDGE + _SAMPLE + 14.0, y)
+    return _told(paper, UNSEEN, _EDGE, y + 0.4 * _LINE) + 0.5 * _LINE
+
+
+def _told(paper: _Paper, text: str, left: float, y: float) -> float:
+    """In as many lines as it takes; where the next one is."""
+    for line in wrap(text, _LETTERS):
+        paper.say(line, (left, y + 5.0))
         y += _LINE
-    return y + 0.5 * _LINE
+    return y
 
 
 def _sample(paper: _Paper, style: str, y: float) -> None:
@@ -326,33 +333,27 @@ def _sample(paper: _Paper, style: str, y: float) -> None:
         paper.line(style, left, right)
 
 
-def _explained(config: RobotConfig) -> list[tuple[str, Sequence[str]]]:
+def _explained(robot: Chassis) -> list[tuple[str, str]]:
     """By style, in the order of the legend."""
-    more = " and ".join(config.robot.AXES[len(PLANAR) :])
+    more = " and ".join(robot.AXES[len(PLANAR) :])
     return [
-        ("rolls", ["turned positively, the wheel rolls the robot this way over the floor"]),
-        ("slides", ["its rollers let it slide along this line, both ways alike"]),
+        ("rolls", "turned positively, the wheel rolls the robot this way over the floor"),
+        ("slides", "its rollers let it slide along this line, both ways alike"),
         (
             "roller",
-            ["its rollers as you see them from above, on top of the wheel;", "the one on the floor lies mirrored"],
+            "its rollers as you see them from above, on top of it; the one on the floor lies mirrored",
         ),
-        ("turns", ["turned positively, the joint turns the body this way on what carries it"]),
-        ("more", [f"a positive {more} moves the wheel this way"]),
-        ("body", ["the body, which turns on the joint"]),
+        ("turns", "turned positively, the joint turns the body this way on what carries it"),
+        ("more", f"a positive {more} moves the wheel this way"),
+        ("body", "the body, which turns on the joint"),
     ]
 
 
-_HINTS: Final = (
-    "Motors that turn the other way, or that are mixed up, drive alike in the simulation, and no file",
-    "shows them: `drivegate setup directions` tries each motor while you watch.",
-)
-
-
-def _arc(middle: Point, radius: float, first: float, last: float) -> tuple[Point, ...]:
+def _arc(middle: Point, radius: float, first: float, last: float, *, steps: int) -> tuple[Point, ...]:
     """On paper, rad from the right, clockwise."""
     found = []
-    for step in range(_STEPS):
-        s, c = sin_cos(first + (last - first) * step / (_STEPS - 1))
+    for step in range(steps + 1):
+        s, c = sin_cos(first + (last - first) * step / steps)
         found.append((middle[0] + radius * c, middle[1] + radius * s))
     return tuple(found)
 

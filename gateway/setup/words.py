@@ -4,16 +4,16 @@ from math import pi, remainder, tau
 from typing import Final
 
 from gateway.arithmetic import angle_of
-from gateway.config import RobotConfig
+from gateway.chassis.contract import Chassis
 from gateway.setup.signs import JointSign, WheelSign, signs
 
 EXACT: Final = 1.0  # degrees
 _QUARTERS: Final = {0: "forward", 90: "to the left", -90: "to the right", 180: "backward", -180: "backward"}
 
 
-def positive_ways(config: RobotConfig) -> dict[str, str]:
+def positive_ways(robot: Chassis) -> dict[str, str]:
     """By motor, in chassis order: where the wheel rolls, or how the body turns."""
-    return {sign.motor: _way(sign) for sign in signs(config.robot)}
+    return {sign.motor: _way(sign) for sign in signs(robot)}
 
 
 def _way(sign: WheelSign | JointSign) -> str:
