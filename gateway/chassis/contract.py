@@ -154,6 +154,10 @@ class Chassis(Protocol):
         """Its geometry. Raises GeometryError for one that cannot be driven."""
         ...
 
+    def doubts(self) -> tuple[str, ...]:
+        """What of its geometry can be driven but is most likely not meant so, in words; of one that can be driven."""
+        ...
+
     def trailing(self) -> Trailing | None:
         """How its chassis trails, which paths have to respect; None: every direction is one to it."""
         ...

@@ -146,6 +146,11 @@ class OddRobot(Section):
         )
         return OddKinematics(geometry, start=self.width)
 
+    def doubts(self) -> tuple[str, ...]:
+        """A motion that is hardly driven at one end of the range."""
+        found = self.kinematics().geometry.doubt()
+        return () if found is None else (f"robot.roller_angles: {found}",)
+
     def trailing(self) -> None:
         """It does not."""
 

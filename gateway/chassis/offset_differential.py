@@ -150,6 +150,10 @@ class OffsetDifferentialRobot(Section):
             wheel_radius=self.wheel_radius, axle_offset=self.axle_offset, track=self.track, caster=caster
         )
 
+    def doubts(self) -> tuple[str, ...]:
+        """None: every length above its least can be meant."""
+        return ()
+
     def trailing(self) -> Trailing:
         """By the platform joint, pulled where it is compensated."""
         return Trailing(PLATFORM, self.axle_offset, pulled=self.compensation is not None)

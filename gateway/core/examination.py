@@ -419,6 +419,7 @@ def _warnings(
             f"limits.acceleration, all axes at once, asks {share:.0%} of the torque of motor {name}: "
             "such twists are held back as far as the motors follow"
         )
+    found += config.robot.doubts()
     found += [f"{words} {left:.3g} N m of max_torque = {most:g}" for words, left, most in spare if left < most]
     found += [
         f"loop.rate = {config.loop.rate:g} Hz is too slow for {one.name}: {one.needed}"
