@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree as Xml
 
-from gateway.setup.picture import STYLES, Mark, Sheet, Style, Words
+from gateway.chassis.contract import Chassis
+from gateway.setup.picture import STYLES, Mark, Sheet, Style, Words, from_above
 
 FONT: Final = "DejaVu Sans, Verdana, Arial, sans-serif"
 _SVG: Final = "http://www.w3.org/2000/svg"
@@ -58,9 +59,9 @@ def _png_file(sheet: Sheet, path: Path) -> None:
     import_module("gateway.cli.picture_png").draw(sheet, path)  # Matplotlib takes half a second to import
 
 
-FORMS: Final[dict[str, Callable[[Sheet, Path], None]]] = {".svg": _svg_file, ".png": _png_file}
+_FORMS: Final[dict[str, Callable[[Sheet, Path], None]]] = {".svg": _svg_file, ".png": _png_file}
 
 
-def save(sheet: Sheet, path: Path) -> None:
-    """In the form of the file's ending, one of FORMS. Raises OSError."""
-    FORMS[path.suffix.lower()](sheet, path)
+def draw(robot: Chassis, path: Path) -> None:
+    """In the form of the file's ending, .svg or .png. Raises OSError, GeometryError."""
+    _FORMS[path.suffix.lower()](from_above(robot), path)

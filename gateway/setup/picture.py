@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from gateway.arithmetic import dot, sin_cos
 from gateway.chassis.contract import Chassis, Drawing, DrawnLength, Point
 from gateway.setup.signs import JointSign, WheelSign, signs
-from gateway.setup.words import positive_ways
+from gateway.setup.words import UNSEEN, positive_ways
 from gateway.types import PLANAR
 
 WIDTH: Final = 720.0  # px
@@ -30,10 +30,6 @@ _SLIDE: Final = 1.35
 _ASIDE: Final = 0.6
 _STRIPES: Final = (-0.75, -0.375, 0.0, 0.375, 0.75)  # where rollers are drawn, in radii along the wheel
 _HEAD: Final = 11.0  # px of an arrow's head
-UNSEEN: Final = (
-    "Motors that all turn the other way, or that are mixed up left and right, drive alike in the simulation, and no "
-    "file shows them: `drivegate setup directions` tries each motor while you watch."
-)
 _BADGE: Final = 11.0  # px, radius of the circle around a number
 _TURN: Final = (0.15 * pi, 0.42 * pi)  # rad from forward to the left, from where to where the arrow of a joint goes
 _ROUND_STEPS: Final = 48
@@ -309,7 +305,7 @@ def _legend(paper: _Paper, top: float, ways: Sequence[str], robot: Chassis) -> f
             continue
         _sample(paper, style, y)
         y = _told(paper, words, _EDGE + _SAMPLE + 14.0, y)
-    return _told(paper, UNSEEN, _EDGE, y + 0.4 * _LINE) + 0.5 * _LINE
+    return _told(paper, UNSEEN.format(file="FILE"), _EDGE, y + 0.4 * _LINE) + 0.5 * _LINE
 
 
 def _told(paper: _Paper, text: str, left: float, y: float) -> float:

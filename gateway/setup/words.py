@@ -7,6 +7,10 @@ from gateway.arithmetic import angle_of
 from gateway.chassis.contract import Chassis
 from gateway.setup.signs import JointSign, WheelSign, signs
 
+UNSEEN: Final = (
+    "Motors that all turn the other way, or that are mixed up left and right, drive alike in the simulation, and no "
+    "file shows them: `drivegate setup directions {file}` tries each motor while you watch."
+)
 EXACT: Final = 1.0  # degrees
 _QUARTERS: Final = {0: "forward", 90: "to the left", -90: "to the right", 180: "backward", -180: "backward"}
 

@@ -18,7 +18,8 @@ from gateway.chassis.contract import Chassis
 from gateway.chassis.mecanum import MecanumRobot
 from gateway.chassis.odd import OddRobot
 from gateway.chassis.omni import OmniRobot
-from gateway.cli.picture import FORMS, save, svg
+from gateway.cli.check import PICTURES
+from gateway.cli.picture import _FORMS, draw, svg
 from gateway.config import load, parse
 from gateway.kinematics.contract import GeometryError
 from gateway.robot_files import bundled
@@ -261,7 +262,7 @@ def test_the_figures_of_the_documentation_are_up_to_date(kind: str) -> None:
 def test_a_pixel_picture_shows_the_same(tmp_path: Path) -> None:
     """Two pixels to a px of the sheet: at the tip of each arrow is its colour."""
     sheet = from_above(ROBOTS["odd"])
-    save(sheet, tmp_path / "odd.PNG")
+    draw(ROBOTS["odd"], tmp_path / "odd.PNG")
     pixels = imread(tmp_path / "odd.PNG")
     assert pixels.shape[:2] == (round(2 * sheet.height), round(2 * sheet.width))
     heads = [mark for mark in sheet.marks if mark.style in ("rolls_head", "slides_head", "more_head")]
@@ -277,4 +278,4 @@ def test_colours_stay_apart_for_colour_blind_eyes() -> None:
     assert {BLUE, VERMILION, GREEN, BLACK} <= {style.stroke for style in STYLES.values()}
     arrows = [STYLES[name] for name in ("rolls", "slides", "turns", "more", "axis")]
     assert len({(style.stroke, style.dash, style.width) for style in arrows}) == len(arrows)
-    assert set(FORMS) == {".svg", ".png"}
+    assert set(_FORMS) == set(PICTURES)
