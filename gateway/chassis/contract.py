@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import ClassVar, Final, NamedTuple, Protocol
 
+from gateway.arithmetic import sin_cos
 from gateway.control.decoupled import Saturation
 from gateway.control.drive_law import DriveLaw
 from gateway.control.launch import Pusher
@@ -29,18 +30,35 @@ class DrawnWheel(NamedTuple):
     rolling: float
     radius: float
 
+    @property
+    def along(self) -> Point:
+        """Unit vector of that direction."""
+        sine, cosine = sin_cos(self.rolling)
+        return cosine, sine
+
+
+class DrawnLength(NamedTuple):
+    """A key of the robot file and where on the robot its length is, from and to (m)."""
+
+    key: str
+    start: Point
+    end: Point
+
 
 class Drawing(NamedTuple):
     """The robot from above, x forward and y left, in m.
 
     `reach`: radius of the circle that stands for the body; `frame`: a closed line, empty for none. `beneath`: place of
-    the joint by which the body turns on frame and wheels; None where they are one.
+    the joint by which the body turns on frame and wheels; None where they are one. `rollers`: whether the wheels have
+    some, on which they slide. `lengths`: what of the robot file is seen.
     """
 
     reach: float
     wheels: tuple[DrawnWheel, ...]
     frame: tuple[Point, ...] = ()
     beneath: int | None = None
+    rollers: bool = False
+    lengths: tuple[DrawnLength, ...] = ()
 
 
 class Sideways(NamedTuple):
@@ -134,6 +152,10 @@ class Chassis(Protocol):
 
     def kinematics(self) -> Kinematics:
         """Its geometry. Raises GeometryError for one that cannot be driven."""
+        ...
+
+    def doubts(self) -> tuple[str, ...]:
+        """What of its geometry can be driven but is most likely not meant so, in words; of one that can be driven."""
         ...
 
     def trailing(self) -> Trailing | None:

@@ -11,6 +11,7 @@ from gateway.chassis.contract import (
     NAME,
     ChassisChannels,
     Drawing,
+    DrawnLength,
     DrawnWheel,
     LawParts,
     LoopLimit,
@@ -145,6 +146,11 @@ class OddRobot(Section):
         )
         return OddKinematics(geometry, start=self.width)
 
+    def doubts(self) -> tuple[str, ...]:
+        """A motion that is hardly driven at one end of the range."""
+        found = self.kinematics().geometry.doubt()
+        return () if found is None else (f"robot.roller_angles: {found}",)
+
     def trailing(self) -> None:
         """It does not."""
 
@@ -224,9 +230,19 @@ class OddRobot(Section):
         return (self.body.mass, self.body.mass, self.body.inertia, 0.25 * self.body.mass)
 
     def drawing(self) -> Drawing:
-        """At the width of the start."""
-        places = self.kinematics().geometry.places(self.width)
-        return Drawing(places[0], tuple(DrawnWheel(0.0, place, 0.0, self.radius) for place in places))
+        """At the width of the start, with the widths that it can have behind it."""
+        outer_left, inner_left, *others = self.kinematics().geometry.places(self.width)
+        widths = (("narrowest", self.narrowest), ("width", self.width), ("widest", self.widest))
+        rows = [-self.radius * (1.9 + 0.65 * place) for place in range(len(widths))]
+        return Drawing(
+            outer_left,
+            tuple(DrawnWheel(0.0, place, 0.0, self.radius) for place in (outer_left, inner_left, *others)),
+            rollers=True,
+            lengths=tuple(
+                DrawnLength(key, (row, 0.5 * length), (row, -0.5 * length))
+                for row, (key, length) in zip(rows, widths, strict=True)
+            ),
+        )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:
         """Nothing."""

@@ -15,6 +15,7 @@ from gateway.chassis.contract import (
     NAME,
     ChassisChannels,
     Drawing,
+    DrawnLength,
     DrawnWheel,
     LawParts,
     LoopLimit,
@@ -149,6 +150,10 @@ class OffsetDifferentialRobot(Section):
             wheel_radius=self.wheel_radius, axle_offset=self.axle_offset, track=self.track, caster=caster
         )
 
+    def doubts(self) -> tuple[str, ...]:
+        """None: every length above its least can be meant."""
+        return ()
+
     def trailing(self) -> Trailing:
         """By the platform joint, pulled where it is compensated."""
         return Trailing(PLATFORM, self.axle_offset, pulled=self.compensation is not None)
@@ -250,6 +255,10 @@ class OffsetDifferentialRobot(Section):
             wheels=(DrawnWheel(rear, half, 0.0, radius), DrawnWheel(rear, -half, 0.0, radius)),
             frame=((rear, half), (front, half / 2), (front, -half / 2), (rear, -half), (rear, half)),
             beneath=PLATFORM,
+            lengths=(
+                DrawnLength("axle_offset", (0.0, 0.0), (rear, 0.0)),
+                DrawnLength("track", (rear, half), (rear, -half)),
+            ),
         )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:

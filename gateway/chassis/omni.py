@@ -9,11 +9,11 @@ is wrong.
 
 from collections.abc import Sequence
 from math import pi, sqrt
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field
 
-from gateway.arithmetic import sin_cos
+from gateway.arithmetic import angle_of, sin_cos
 from gateway.chassis.contract import (
     ALIKE,
     BODY,
@@ -32,10 +32,14 @@ from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.grip import Grip, Push
 from gateway.control.launch import LEAST_FRICTION, MOST_FRICTION, LaunchLaw
 from gateway.control.launch_slip import Losses
+from gateway.kinematics.contract import GeometryError
 from gateway.kinematics.fixed_wheels import FixedWheels
 from gateway.kinematics.linear import Matrix, diagonal
+from gateway.kinematics.undriven import doubt
 from gateway.sections import Angle, Body, Length, Metres, Name, Positive, Section, Unit
 from gateway.types import PLANAR, Rates
+
+_INWARD: Final = 0.1  # of the reach: a lever below it is none
 
 
 class WheelPose(NamedTuple):
@@ -113,7 +117,47 @@ class OmniRobot(Section):
 
     def kinematics(self) -> FixedWheels:
         """From the poses of the wheels."""
-        return omni_kinematics([WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel])
+        try:
+            return omni_kinematics(self._poses())
+        except GeometryError as error:
+            raise GeometryError(f"{error}{self._meant()}") from None
+
+    def doubts(self) -> tuple[str, ...]:
+        """A motion that is hardly driven, and axles that point inward."""
+        hardly = doubt(self.kinematics().rim_matrix, self._reach())
+        found = [] if hardly is None else [f"robot.wheel: {hardly}{self._meant()}"]
+        inward = [
+            wheel.motor
+            for wheel, (*_, lever) in zip(self.wheel, self.kinematics().rim_matrix, strict=True)
+            if lever < -_INWARD * self._reach()
+        ]
+        if inward:
+            found.append(
+                f"robot.wheel: axis_angle of {' and '.join(inward)} points inward: turned positively, such a wheel "
+                "turns the robot clockwise. It is meant to be that of the axle pointing outward"
+            )
+        return tuple(found)
+
+    def _poses(self) -> list[WheelPose]:
+        return [WheelPose(wheel.x, wheel.y, wheel.axis_angle, wheel.radius) for wheel in self.wheel]
+
+    def _reach(self) -> float:
+        """How far the farthest wheel is from the middle, m."""
+        return max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel)
+
+    def _meant(self) -> str:
+        """What axles would be that point outward from the middle; nothing where that is no better."""
+        outward = [pose._replace(axis_angle=angle_of(pose.y, pose.x)) for pose in self._poses()]
+        try:
+            rows = omni_kinematics(outward).rim_matrix
+        except GeometryError:
+            return ""
+        if doubt(rows, self._reach()) is not None:
+            return ""
+        angles = ", ".join(
+            f"{pose.axis_angle:.4g} ({wheel.motor})" for pose, wheel in zip(outward, self.wheel, strict=True)
+        )
+        return f". axis_angle is that of the axle, outward; from the middle through each wheel it would be {angles}"
 
     def trailing(self) -> None:
         """It does not."""
@@ -168,8 +212,9 @@ class OmniRobot(Section):
     def drawing(self) -> Drawing:
         """A wheel rolls at right angles to its axle."""
         return Drawing(
-            reach=max(sqrt(wheel.x * wheel.x + wheel.y * wheel.y) for wheel in self.wheel),
+            reach=self._reach(),
             wheels=tuple(DrawnWheel(wheel.x, wheel.y, wheel.axis_angle + pi / 2, wheel.radius) for wheel in self.wheel),
+            rollers=True,
         )
 
     def loop_limits(self, top_speed: float, *, delay: float) -> tuple[LoopLimit, ...]:

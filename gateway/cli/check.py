@@ -1,45 +1,98 @@
 """`drivegate check`: what follows from a robot file, without touching any bus."""
 
+from collections.abc import Mapping
+from importlib import import_module
 from math import degrees
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Final
 
 import typer
 from rich.table import Table
 
 from gateway import robot_files
-from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
+from gateway.chassis import AnyRobot
+from gateway.cli.output import EXIT_CONFIG, complain, console, in_words, note, print_json
 from gateway.cli.polar import polar
 from gateway.config import ConfigError, read
-from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine_text
+from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examined
+from gateway.kinematics.contract import GeometryError
+from gateway.setup.words import UNSEEN, positive_ways
+
+EXIT_NOT_WRITTEN: Final = 1
+PICTURES: Final = (".svg", ".png")
 
 
 def check(
     file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draws the robot from above, with what each motor does: OUT.svg or OUT.png.", metavar="OUT"),
+    ] = None,
 ) -> None:
-    """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with."""
+    """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with.
+
+    What is refused is told all at once, with what can be said of the robot all the same.
+    """
+    if picture is not None and picture.suffix.lower() not in PICTURES:
+        raise typer.BadParameter(f"{picture}: must end in {' or '.join(PICTURES)}", param_hint="--picture")
     try:
         found = robot_files.locate(file)
-        _, report = examine_text(read(found.path), str(found.path))
+        origin = str(found.path)
+        told = examined(read(found.path), origin)
     except ConfigError as error:
-        if json:
-            print_json({"valid": False, "file": error.origin, "problems": list(error.problems)})
-        else:
-            complain(str(error))
+        _refuse(error, None, json=json)
         raise typer.Exit(EXIT_CONFIG) from None
-    unlike = robot_files.unlike(found.path, report.robot)
-    report = report._replace(warnings=(*report.warnings, *([] if unlike is None else [unlike])))
+    report = None if told.report is None else _with_name(told.report, found.path)
+    drawn = picture is None or _draw(told.parts.robot, picture)
+    if told.problems or report is None or told.config is None:
+        _refuse(ConfigError(origin, told.problems), report, json=json)
+        raise typer.Exit(EXIT_CONFIG)
+    ways = positive_ways(told.config.robot)
     if json:
-        print_json({"file": str(found.path), "place": found.place.value} | _document(report))
+        print_json({"file": origin, "place": found.place.value, "valid": True, "positive": ways} | _document(report))
     else:
         if found.place is not robot_files.Place.GIVEN:
             console.print(f"robot file {found.words}", markup=False, highlight=False, soft_wrap=True)
         _show(report)
+        _show_ways(ways, file)
+    if not drawn:
+        raise typer.Exit(EXIT_NOT_WRITTEN)
+
+
+def _with_name(report: Examination, path: Path) -> Examination:
+    """With a warning where the robot is called other than its file."""
+    unlike = robot_files.unlike(path, report.robot)
+    return report if unlike is None else report._replace(warnings=(*report.warnings, unlike))
+
+
+def _refuse(error: ConfigError, report: Examination | None, *, json: bool) -> None:
+    """What is wrong, behind what can be said of the robot all the same."""
+    if json:
+        document = {} if report is None else _document(report)
+        print_json({"valid": False, "file": error.origin, "problems": list(error.problems)} | document)
+        return
+    if report is not None:
+        _show(report)
+    complain(str(error))
+
+
+def _draw(robot: AnyRobot | None, path: Path) -> bool:
+    """Whether there is a picture now; else it is said why not."""
+    if robot is None:
+        complain("no picture: what is wrong is in [robot]")
+        return False
+    try:
+        import_module("gateway.cli.picture").draw(robot, path)  # nobody else needs it
+    except (OSError, GeometryError) as error:
+        complain(f"no picture: {in_words(error)}")
+        return False
+    note(f"{path}: the robot from above, and what each motor does when it turns positively")
+    return True
 
 
 def _document(report: Examination) -> dict[str, object]:
     return {
-        "valid": True,
         **report._asdict(),
         "top_speeds": dict(zip(report.axes, report.top_speeds, strict=True)),
         "reachable": dict(zip(report.axes, report.reachable, strict=True)),
@@ -85,6 +138,15 @@ def _show(report: Examination) -> None:
         _show_pushes(report.effective_motors)
     for warning in report.warnings:
         console.print(f"[yellow]warning[/] {warning}", highlight=False)
+
+
+def _show_ways(ways: Mapping[str, str], file: str) -> None:
+    """What nothing but the robot itself can prove right."""
+    table = Table("motor", "turned positively", title="signs")
+    for motor, way in ways.items():
+        table.add_row(motor, way)
+    console.print(table)
+    console.print(UNSEEN.format(file=file), markup=False, highlight=False)
 
 
 def _show_pushes(pushes: Pushes) -> None:

@@ -76,7 +76,7 @@ def _turning(config: RobotConfig, bus: Bus, *, speed: float, seconds: float, yes
     """Every controller turns a little."""
     refuse_where_commanded(bus.interface, bus.channel)
     found = _heard(config, bus)
-    ways = positive_ways(config)
+    ways = positive_ways(config.robot)
     names = ", ".join(device.name for device in found.devices)
     what = f"{warning(config, *found.names)} One after the other will turn {speed * seconds:.2f} rad: {names}."
     allow(what, "to turn them", yes=yes)
@@ -139,7 +139,7 @@ def _asked(found: Directions, trial: Trial, ways: dict[str, str]) -> None:
 def _by_hand(config: RobotConfig, bus: Bus) -> Directions:
     """You turn each wheel."""
     refuse_where_commanded(bus.interface, bus.channel)
-    found, ways = _heard(config, bus), positive_ways(config)
+    found, ways = _heard(config, bus), positive_ways(config.robot)
     motors = [motor for motor in config.motors_in_order() if motor.bus == bus.name]
     watch = HandWatch({(motor.driver, motor.variant) for motor in motors})
     for motor in motors:

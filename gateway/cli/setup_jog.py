@@ -30,7 +30,7 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
     config, _ = load(robot_files.find(file))
     try:
         procedure = Jog(config, motor, speed=speed, seconds=seconds)
-        way = positive_ways(config)[motor] if speed > 0.0 else "the other way round"
+        way = positive_ways(config.robot)[motor] if speed > 0.0 else "the other way round"
         allow(
             f"{warning(config, motor)} {motor} will turn {abs(speed * seconds):.2f} rad: {way}.", "to turn it", yes=yes
         )

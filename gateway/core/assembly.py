@@ -2,17 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
 from drivers.contract import Capabilities, Driver, IdUse, MotorSpec, ReceiveFilter, Traffic
 from drivers.sensors import SENSORS, sensor_problem
 from drivers.sensors.contract import SensorDriver, SensorSpec
-from gateway.chassis.contract import LawParts
+from gateway.chassis.contract import Chassis, LawParts
 from gateway.config import ConfigError, Motor, Parts, RobotConfig, Sensor
 from gateway.control.decoupled import Decoupled, Saturation
-from gateway.control.drive_law import DriveLaw
+from gateway.control.drive_law import DriveLaw, SpeedLaw
 from gateway.control.grip import GripError
 from gateway.control.launch import Pusher
 from gateway.control.limits import TwistLimiter
@@ -24,6 +24,8 @@ from gateway.core.detectors import Limits
 from gateway.core.settings import problems_of_file
 from gateway.guess import guess
 from gateway.kinematics.contract import GeometryError, Kinematics
+
+_Made = TypeVar("_Made")
 
 
 class Group(NamedTuple):
@@ -68,30 +70,37 @@ class Robot(NamedTuple):
         return [item for told in (*groups, *[one.traffic() for one in senders.values()]) for item in told]
 
 
+class Assembled(NamedTuple):
+    """`robot`: as far as it can be built, None: not at all. `problems`: why it must not be driven with."""
+
+    robot: Robot | None
+    problems: tuple[str, ...]
+
+
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
-    """The parts of the robot. Raises ConfigError naming key, value and range."""
-    wrong = [f"settings: {problem}" for problem in problems_of_file(config.settings)]
-    if wrong:
-        raise ConfigError(origin, wrong)
-    motors = config.motors_in_order()
-    try:
-        kinematics = config.robot.kinematics()
-    except GeometryError as error:
-        raise ConfigError(origin, [f"robot: {error}"]) from None
-    groups = _groups(config, motors, origin)
-    ports = _ports(config, groups, origin)
+    """The parts of the robot. Raises ConfigError naming key, value and range of everything that is wrong."""
+    robot, problems = assemble(config)
+    if robot is None or problems:
+        raise ConfigError(origin, problems)
+    return robot
+
+
+def assemble(config: RobotConfig) -> Assembled:
+    """The same to be looked at: a robot that its own drive law refuses has plain wheel speeds in place of that."""
+    motors, problems = config.motors_in_order(), [f"settings: {one}" for one in problems_of_file(config.settings)]
+    kinematics = _made(partial(_kinematics, config.robot), problems)
+    groups = _made(partial(_groups, config, motors, ""), problems)
+    if groups is None:
+        return Assembled(None, tuple(problems))
+    ports = _made(partial(_ports, config, groups, ""), problems)
     able = _capabilities(groups)
-    loops = _speed_loops(motors, able, origin)
+    loops = _made(partial(_speed_loops, motors, able, ""), problems)
+    if kinematics is None or loops is None:
+        return Assembled(None, tuple(problems))
     joints = tuple(map(_with_loop, able, loops))
-    try:
-        law = config.robot.law(_law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops))))
-    except GripError as lame:  # mypyc wants one kind of error by one name
-        raise ConfigError(origin, [f"robot.grip: {lame}"]) from None
-    except BalanceError as unfit:
-        raise ConfigError(origin, [f"robot.balance: {unfit}"]) from None
-    if config.stop.category == 0 and law.posture is None:
-        raise ConfigError(origin, ["stop.category = 0: must be 1 or 2: only a robot that balances is let go at once"])
-    return Robot(
+    parts = _law_parts(config, kinematics, tuple(map(_pusher, motors, joints, loops)))
+    law = _made(partial(_law, config, parts), problems)
+    robot = Robot(
         names=tuple(motor.name for motor in motors),
         kinematics=kinematics,
         groups=groups,
@@ -100,19 +109,49 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
         capabilities=joints,
         absolute=tuple(motor.encoder == "absolute" for motor in motors),
         limits=tuple(Limits(config.limits.motor_speed[motor.name], motor.max_torque) for motor in motors),
-        law=law,
-        ports=ports,
+        law=_plain_law(parts) if law is None else law,
+        ports=() if ports is None else ports,
     )
+    return Assembled(robot, tuple(problems))
+
+
+def _kinematics(robot: Chassis) -> Kinematics:
+    try:
+        return robot.kinematics()
+    except GeometryError as error:
+        raise ConfigError("", [f"robot: {error}"]) from None
+
+
+def _law(config: RobotConfig, parts: LawParts) -> DriveLaw:
+    try:
+        law = config.robot.law(parts)
+    except GripError as lame:  # mypyc wants one kind of error by one name
+        raise ConfigError("", [f"robot.grip: {lame}"]) from None
+    except BalanceError as unfit:
+        raise ConfigError("", [f"robot.balance: {unfit}"]) from None
+    if config.stop.category == 0 and law.posture is None:
+        raise ConfigError("", ["stop.category = 0: must be 1 or 2: only a robot that balances is let go at once"])
+    return law
+
+
+def _plain_law(parts: LawParts) -> DriveLaw:
+    return SpeedLaw(parts.kinematics, top_speeds=parts.top_speeds, velocity=parts.velocity, period=parts.period)
+
+
+def _made(make: Callable[[], _Made], problems: list[str]) -> _Made | None:
+    """What comes of making it; None where that is refused, and then `problems` have the reasons."""
+    try:
+        return make()
+    except ConfigError as error:
+        problems += error.problems
+        return None
 
 
 def problems_of(parts: Parts) -> list[str]:
     """What is wrong with the sound parts of a robot file, each looked at by itself, whatever is wrong beside it."""
     found = [] if parts.settings is None else [f"settings: {one}" for one in problems_of_file(parts.settings)]
     if parts.robot is not None:
-        try:
-            parts.robot.kinematics()
-        except GeometryError as error:
-            found.append(f"robot: {error}")
+        found += _tried(partial(_kinematics, parts.robot))
     rate = None if parts.loop is None else parts.loop.rate
     members: dict[tuple[str, str], list[Motor]] = {}
     for motor in parts.motors.sound:
@@ -150,11 +189,9 @@ def _of_group(name: str, bus: str, motors: Sequence[Motor], rate: float) -> list
 
 def _tried(make: Callable[[], object]) -> list[str]:
     """The problems of making something; none where it can be made."""
-    try:
-        make()
-    except ConfigError as error:
-        return list(error.problems)
-    return []
+    problems: list[str] = []
+    _made(make, problems)
+    return problems
 
 
 def with_motors(robot: Robot, config: RobotConfig) -> Robot:

@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 from drivers.contract import Traffic
 from gateway.arithmetic import sin_cos
 from gateway.chassis.contract import LoopLimit
-from gateway.config import Bus, ConfigError, Limits, RobotConfig, Sensor, survey
+from gateway.config import Bus, ConfigError, Limits, Parts, RobotConfig, Sensor, survey
 from gateway.control.launch import FRICTION
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
-from gateway.core.assembly import Robot, build, feedback_delay, problems_of
+from gateway.core.assembly import Robot, assemble, feedback_delay, problems_of
 from gateway.kinematics.forces import PushTable, force_coupling
 from gateway.kinematics.linear import condition, decompose, diagonal, product, pseudo_inverse, transpose
 from gateway.types import Rates
@@ -131,52 +131,80 @@ def frame_time(item: Traffic, bus: Bus) -> float:
     return nominal / bus.bitrate + fast / (bus.fd_bitrate if item.bit_rate_switch else bus.bitrate)
 
 
-def examine_text(text: str, origin: str) -> tuple[RobotConfig, Examination]:
-    """The robot of a file and its report. Raises ConfigError with everything that is wrong, of every layer at once."""
+class Examined(NamedTuple):
+    """`parts`: the sound ones of the file. `report`: None where the robot cannot be built; with `problems` (everything
+    that is wrong, of every layer at once) it must not be driven with, whatever else the report says.
+    """
+
+    config: RobotConfig | None
+    parts: Parts
+    report: Examination | None
+    problems: tuple[str, ...]
+
+
+def examined(text: str, origin: str) -> Examined:
+    """What can be said of the robot of a file. Raises ConfigError for what is no TOML."""
     found = survey(text, origin)
     problems = [*found.problems, *problems_of(found.parts)]
     limits = found.parts.limits
-    if found.config is None and limits is not None and _alike(limits):
-        problems += _late_stops(limits)
-    if found.config is None or problems:
-        raise ConfigError(origin, dict.fromkeys(problems))
-    return found.config, examine(found.config, origin)
+    if found.config is None:
+        problems += _late_stops(limits) if limits is not None and _alike(limits) else []
+        return Examined(None, found.parts, None, tuple(dict.fromkeys(problems)))
+    report, more = _examined(found.config)
+    return Examined(found.config, found.parts, report, tuple(dict.fromkeys([*problems, *more])))
+
+
+def examine_text(text: str, origin: str) -> tuple[RobotConfig, Examination]:
+    """The robot of a file and its report. Raises ConfigError with everything that is wrong, of every layer at once."""
+    config, _, report, problems = examined(text, origin)
+    if config is None or report is None or problems:
+        raise ConfigError(origin, problems)
+    return config, report
 
 
 def examine(config: RobotConfig, origin: str) -> Examination:
     """The report. Raises ConfigError for a robot that cannot be driven or a bus beyond LOAD_REFUSAL."""
-    robot = build(config, origin)
+    report, problems = _examined(config)
+    if report is None or problems:
+        raise ConfigError(origin, problems)
+    return report
+
+
+def _examined(config: RobotConfig) -> tuple[Examination | None, list[str]]:
+    """The report of a robot as far as it can be built, and everything that it must not be driven with for."""
+    robot, refused = assemble(config)
+    if robot is None:
+        return None, [*refused, *_late_stops(config.limits)]
     matrix = robot.kinematics.matrix()
     top = _top_speeds(robot)
     limit = config.limits.velocity.as_rates(config.robot.AXES)
     buses = tuple(_bus_load(config, robot, bus) for bus in config.bus)
-    overloaded = [
+    problems = list(refused)
+    problems += [
         f"bus {bus.bus}: load {bus.load:.0%} at {config.loop.rate:g} Hz; allowed up to {LOAD_REFUSAL:.0%}"
         for bus in buses
         if bus.load > LOAD_REFUSAL
     ]
     stop_s, stop_m = _stop(config.limits)
-    overloaded += _late_stops(config.limits)
+    problems += _late_stops(config.limits)
     grip = _gripping(config, robot)
     if grip is not None and grip.stopping_time_s > STOPPING_REFUSAL_S:
-        overloaded.append(
+        problems.append(
             f"robot.grip.friction = {grip.friction:g}: a commanded stop from top speed takes "
             f"{grip.stopping_time_s:.1f} s and {grip.stopping_distance_m:.1f} m; allowed up to "
             f"{STOPPING_REFUSAL_S:g} s: lower limits.velocity"
         )
-    overloaded += _wild_loops(config, robot)
+    problems += _wild_loops(config, robot)
     spare = _spare_torques(config, robot)
-    overloaded += [f"{words} nothing" for words, left, _ in spare if left <= 0.0]
+    problems += [f"{words} nothing" for words, left, _ in spare if left <= 0.0]
     loop_limits = config.robot.loop_limits(max(limit[0], limit[1]), delay=feedback_delay(config))
-    overloaded += [
+    problems += [
         f"loop.rate = {config.loop.rate:g} Hz: too slow for {one.name} at limits.velocity: {one.needed}"
         for one in loop_limits
         if one.used and 1.0 / config.loop.rate > one.period
     ]
-    if overloaded:
-        raise ConfigError(origin, overloaded)
     strained, torque_share = _torque_share(config, robot)
-    return Examination(
+    report = Examination(
         robot=config.robot.name,
         kind=config.robot.kind,
         motors=len(robot.names),
@@ -208,6 +236,7 @@ def examine(config: RobotConfig, origin: str) -> Examination:
             )
         ),
     )
+    return report, problems
 
 
 def _gripping(config: RobotConfig, robot: Robot) -> Gripping | None:
@@ -430,6 +459,7 @@ def _warnings(
             f"limits.acceleration, all axes at once, asks {share:.0%} of the torque of motor {name}: "
             "such twists are held back as far as the motors follow"
         )
+    found += config.robot.doubts()
     found += [f"{words} {left:.3g} N m of max_torque = {most:g}" for words, left, most in spare if left < most]
     found += [
         f"loop.rate = {config.loop.rate:g} Hz is too slow for {one.name}: {one.needed}"

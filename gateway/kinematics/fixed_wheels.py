@@ -16,6 +16,7 @@ from gateway.arithmetic import dot
 from gateway.kinematics.contract import MAX_CONDITION, Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix, Vector, condition, kernel, product, pseudo_inverse, transpose
 from gateway.kinematics.reach import ReachTable
+from gateway.kinematics.undriven import Beyond, refusal
 from gateway.types import PLANAR, Rates, Twist
 
 _TURN: Final = PLANAR.index("wz")  # the axis in rad/s
@@ -47,7 +48,7 @@ class FixedWheels:
     def __init__(self, rim_rows: Sequence[Vector], radii: Sequence[float], *, axes: tuple[str, ...] = PLANAR) -> None:
         self.axes = axes
         self.rim_matrix: Matrix = tuple(rim_rows)
-        self.rim_pinv = _inverse(self.rim_matrix)
+        self.rim_pinv = _inverse(self.rim_matrix, radii)
         self._reach = ReachTable(self.rim_matrix)
         self.radii = tuple(radii)
         self._rows = tuple(tuple(part / r for part in row) for row, r in zip(self.rim_matrix, self.radii, strict=True))
@@ -114,13 +115,13 @@ class FixedWheels:
 
     def _solve(self, measured: tuple[bool, ...]) -> _Solution | None:
         rows = tuple(row for row, known in zip(self.rim_matrix, measured, strict=True) if known)
+        radii = [radius for radius, known in zip(self.radii, measured, strict=True) if known]
         try:
-            inverse = _inverse(rows)
+            inverse = _inverse(rows, radii)
         except GeometryError:
             if all(measured):
                 raise
             return None
-        radii = [radius for radius, known in zip(self.radii, measured, strict=True) if known]
         x, y, z, *more = _scaled(inverse, radii)
         basis = kernel(transpose(rows))  # its projector is I - D D+
         return _Solution(
@@ -145,17 +146,20 @@ def _scaled(rows: Matrix, factors: Sequence[float]) -> Matrix:
     return tuple(tuple(part * factor for part, factor in zip(row, factors, strict=True)) for row in rows)
 
 
-def _inverse(rows: Matrix) -> Matrix:
-    """D+ with D+ D = I asserted; scaled to the lever arm first so that metres and radians compare."""
+def _inverse(rows: Matrix, radii: Sequence[float]) -> Matrix:
+    """D+ with D+ D = I asserted; scaled to the lever arm first so that metres and radians compare.
+
+    A lever far below the radius of the wheels is none: their rollers all push towards one point.
+    """
     axes = len(rows[0]) if rows else len(PLANAR)
     if len(rows) < axes:
         message = f"{len(rows)} wheel(s) cannot drive {axes} axes"
         raise GeometryError(message)
-    lever = max(abs(row[_TURN]) for row in rows) or 1.0
+    lever = max([abs(row[_TURN]) for row in rows] + list(radii))
     worst = condition(_scaled(rows, [1.0 / lever if axis == _TURN else 1.0 for axis in range(axes)]))
     if not worst <= MAX_CONDITION:
-        message = f"wheel directions are not independent: condition {worst:.3g}, allowed up to {MAX_CONDITION:.0e}"
-        raise GeometryError(message)
+        beyond = [Beyond(f"change axis {axis}", f"changing axis {axis}") for axis in range(len(PLANAR), axes)]
+        raise GeometryError(f"wheel directions are not independent: {refusal(rows, lever, beyond=beyond)}")
     inverse = pseudo_inverse(rows)
     for place, row in enumerate(product(inverse, rows)):
         if any(abs(part - (column == place)) > _INVERSE_TOLERANCE for column, part in enumerate(row)):

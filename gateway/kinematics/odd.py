@@ -20,11 +20,13 @@ from gateway.kinematics.contract import Estimate, GeometryError, Reach
 from gateway.kinematics.linear import Matrix
 from gateway.kinematics.mecanum import roller_tangent
 from gateway.kinematics.reach import ReachTable
+from gateway.kinematics.undriven import Beyond, doubt, refusal
 from gateway.types import PLANAR, Rates, Twist
 
 AXES: Final = (*PLANAR, "width_rate")
 MIN_SIGMA: Final = 1e-6  # m
 WHEELS: Final = 4
+_BEYOND: Final = (Beyond("open or close", "opening or closing"),)
 Tangents = tuple[float, float, float, float]  # of the roller angles, wheels from left to right
 
 
@@ -138,12 +140,29 @@ class OddGeometry:
             raise GeometryError(message)
         at_narrowest, at_widest = self.sigma(self.narrowest), self.sigma(self.widest)
         if not (min(abs(at_narrowest), abs(at_widest)) >= MIN_SIGMA and (at_narrowest > 0.0) == (at_widest > 0.0)):
+            width = self._singular(at_narrowest, at_widest)
             message = (
                 f"these roller angles do not drive all four axes at every width from {self.narrowest:g} to"
                 f" {self.widest:g} m: sigma1 = {at_narrowest:.3g} to {at_widest:.3g} m, must keep its sign and be"
-                f" {MIN_SIGMA:g} m at least; the rollers of a pair must differ, like 45 and -45 degrees"
+                f" {MIN_SIGMA:g} m at least; the rollers of a pair must differ, like 45 and -45 degrees. At a width of"
+                f" {width:.4g} m {refusal(self.rim_rows(width), 0.5 * width, beyond=_BEYOND)}"
             )
             raise GeometryError(message)
+
+    def doubt(self) -> str | None:
+        """A motion that the wheels hardly drive at one end of the range."""
+        for width in (self.narrowest, self.widest):
+            found = doubt(self.rim_rows(width), 0.5 * (width + self.spacing), beyond=_BEYOND)
+            if found is not None:
+                return f"at a width of {width:g} m {found}"
+        return None
+
+    def _singular(self, at_narrowest: float, at_widest: float) -> float:
+        """The width at which sigma1, a straight line, is nothing; else the end at which it is hardly more."""
+        if abs(at_narrowest) < MIN_SIGMA or abs(at_widest) < MIN_SIGMA:
+            return self.narrowest if abs(at_narrowest) <= abs(at_widest) else self.widest
+        share = at_narrowest / (at_narrowest - at_widest)
+        return self.narrowest + share * (self.widest - self.narrowest)
 
 
 class Width:

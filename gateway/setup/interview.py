@@ -13,6 +13,7 @@ from math import pi
 from typing import Final, NamedTuple
 
 from gateway.arithmetic import sin_cos
+from gateway.chassis.odd import OddRobot
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.chassis.omni import OmniRobot, OmniWheel
 from gateway.config import Bus, Motor, SpeedLoop, Winding
@@ -38,13 +39,22 @@ class Question(NamedTuple):
 Ask = Callable[[Question], Value]
 
 
+class _Axis(NamedTuple):
+    """One beyond the twist, with the speed that it usually has, m/s."""
+
+    name: str
+    words: str
+    usual: float
+
+
 class _Chassis(NamedTuple):
-    """`lines` of [robot]; `turns`: of the motors that drive wheels; `radius`: of those, m."""
+    """`lines` of [robot]; `wheels`: so many motors drive one; `radius`: of those, m; `more`: axes beyond the twist."""
 
     lines: list[str]
     motors: tuple[str, ...]
     wheels: int
     radius: float
+    more: tuple[_Axis, ...] = ()
 
 
 class _Controller(NamedTuple):
@@ -183,10 +193,52 @@ def _mecanum(draft: _Drafting) -> _Chassis:
     return _Chassis(lines, ("front_left", "rear_left", "rear_right", "front_right"), 4, radius)
 
 
+def _odd(draft: _Drafting) -> _Chassis:
+    radius = draft.number("robot.radius", "Radius of the wheels, m?", field(OddRobot, "radius"))
+    spacing = draft.number(
+        "robot.spacing", "From the middle of one wheel of a pair to the other, m?", field(OddRobot, "spacing")
+    )
+    least = draft.number(
+        "robot.narrowest",
+        "From the middle of one pair to the other, m, where they are nearest?",
+        number(spacing, 10.0, "m; leave some mm to the stops of the slides"),
+    )
+    most = draft.number(
+        "robot.widest", "And where they are farthest apart, m?", number(least, 10.0, "m; leave some mm to the stops")
+    )
+    width = draft.number(
+        "robot.width",
+        "How far apart are they when the service starts, m?",
+        number(least, most, "m"),
+        _short(0.5 * (least + most)),
+    )
+    side = draft.text(
+        "robot.rollers",
+        "The roller on the floor, of the wheel at the far left: from its middle, where does its front end point?",
+        choice(("left", "right")),
+        "left",
+    )
+    slant = 0.25 * pi if side == "left" else -0.25 * pi
+    angles = ", ".join(repr(sign * slant) for sign in (1.0, -1.0, 1.0, -1.0))
+    lines = [
+        *(f"radius = {radius}", f"spacing = {spacing}         # of the two wheels of a pair"),
+        *(f"narrowest = {least}       # between the middles of the pairs", f"widest = {most}"),
+        f"width = {width}          # at the start; the wheels add up from there, unless width_sensor tells it",
+        f"roller_angles = [{angles}]   # of the rollers on the floor; on top they lie mirrored",
+        'wheels = ["outer_left", "inner_left", "inner_right", "outer_right"]   # from left to right',
+        'yields = "width"        # where the wheels cannot turn for all of a command: "width", "motion" or "all"',
+        '# width_sensor = 0      # which [[sensor]] of kind "range" tells the width, from 0',
+    ]
+    motors = ("outer_left", "inner_left", "inner_right", "outer_right")
+    rate = _Axis("width_rate", "How fast may the pairs go apart, m/s?", _short(0.5 * (most - least) / SOON))
+    return _Chassis(lines, motors, len(motors), radius, (rate,))
+
+
 _CHASSIS: Final[dict[str, Callable[[_Drafting], _Chassis]]] = {
     "offset_differential": _offset_differential,
     "omni": _omni,
     "mecanum": _mecanum,
+    "odd": _odd,
 }
 
 
@@ -340,14 +392,20 @@ def _limits(draft: _Drafting, chassis: _Chassis, top: float) -> list[str]:
     usual = _short(min(1.0, 0.5 * SHARE * top * chassis.radius))
     linear = draft.number("limits.velocity", "Top speed of the robot, m/s?", number(0.001, 20.0, "m/s"), usual)
     turning = draft.number("limits.turning", "And turning, rad/s?", number(0.001, 50.0, "rad/s"), _short(linear))
+    more = {
+        axis.name: draft.number(f"limits.{axis.name}", axis.words, number(0.001, 20.0, "m/s"), axis.usual)
+        for axis in chassis.more
+    }
     lines = ["[limits]"]
     for key, factor, note in (
         ("velocity", 1.0, ""),
         ("acceleration", 1.0 / SOON, "   # to top speed within a second"),
         ("jerk", JERK / SOON, ""),
     ):
-        x, wz = _short(factor * linear), _short(factor * turning)
-        lines.append(f"{key} = {{ vx = {x}, vy = {x}, wz = {wz} }}{note}")
+        x = _short(factor * linear)
+        rates = {"vx": x, "vy": x, "wz": _short(factor * turning)}
+        rates |= {axis: _short(factor * rate) for axis, rate in more.items()}
+        lines.append(f"{key} = {{ {', '.join(f'{axis} = {rate}' for axis, rate in rates.items())} }}{note}")
     speeds = ", ".join(f"{name} = {_short(SHARE * top)}" for name in chassis.motors)
     return [*lines, f"motor_speed = {{ {speeds} }}   # rad/s at the wheels"]
 

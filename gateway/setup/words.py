@@ -3,24 +3,29 @@
 from math import pi, remainder, tau
 from typing import Final
 
-from gateway.config import RobotConfig
+from gateway.arithmetic import angle_of
+from gateway.chassis.contract import Chassis
+from gateway.setup.signs import JointSign, WheelSign, signs
 
+UNSEEN: Final = (
+    "Motors that all turn the other way, or that are mixed up left and right, drive alike in the simulation, and no "
+    "file shows them: `drivegate setup directions {file}` tries each motor while you watch."
+)
 EXACT: Final = 1.0  # degrees
 _QUARTERS: Final = {0: "forward", 90: "to the left", -90: "to the right", 180: "backward", -180: "backward"}
 
 
-def positive_ways(config: RobotConfig) -> dict[str, str]:
+def positive_ways(robot: Chassis) -> dict[str, str]:
     """By motor, in chassis order: where the wheel rolls, or how the body turns."""
-    drawing = config.robot.drawing()
-    ways = {}
-    for place, motor in enumerate(config.robot.motor_names()):
-        if place == drawing.beneath:
-            ways[motor] = "the body turns counter-clockwise, as seen from above, on what carries it"
-        elif place < len(drawing.wheels):
-            ways[motor] = f"the wheel rolls {rolling(drawing.wheels[place].rolling)}"
-        else:
-            ways[motor] = "the joint turns positively"
-    return ways
+    return {sign.motor: _way(sign) for sign in signs(robot)}
+
+
+def _way(sign: WheelSign | JointSign) -> str:
+    if isinstance(sign, JointSign):
+        turn = "counter-clockwise" if sign.turns > 0.0 else "clockwise"
+        return f"the body turns {turn}, as seen from above, on what carries it"
+    x, y = sign.way
+    return f"the wheel rolls {rolling(angle_of(y, x))}"
 
 
 def zero_way(config: RobotConfig, motor: str) -> str:

@@ -265,19 +265,19 @@ def test_other_answers_are_refused_in_words(answer: str) -> None:
 
 
 def test_what_is_positive_is_said_in_words() -> None:
-    assert positive_ways(config_of("kiwi")) == {
+    assert positive_ways(config_of("kiwi").robot) == {
         "front": "the wheel rolls to the left",
         "rear_left": "the wheel rolls 150 degrees to the right of forward",
         "rear_right": "the wheel rolls 30 degrees to the right of forward",
     }
-    assert positive_ways(config_of("mobyish"))["platform"].startswith("the body turns counter-clockwise")
+    assert positive_ways(config_of("mobyish").robot)["platform"].startswith("the body turns counter-clockwise")
     assert {rolling(angle) for angle in (3.1415926, -3.1415926)} == {"backward"}
 
 
 @pytest.mark.parametrize("name", [*BUNDLED, *TRUE])
 def test_every_joint_has_words(name: str) -> None:
     config = config_of(name) if name in TRUE else parse(robot_text(name), name)
-    ways = positive_ways(config)
+    ways = positive_ways(config.robot)
     assert tuple(ways) == config.robot.motor_names()
     assert not any("joint turns" in words for words in ways.values())
 

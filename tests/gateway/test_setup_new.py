@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from io import StringIO
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -11,19 +12,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
+from gateway.chassis import CHASSIS as REGISTRY
 from gateway.chassis.mecanum import MecanumRobot
-from gateway.chassis.offset_differential import OffsetDifferentialRobot
+from gateway.chassis.odd import OddRobot
 from gateway.chassis.omni import OmniRobot
 from gateway.cli.app import build
 from gateway.config import Motor, parse
 from gateway.core.examination import examine
 from gateway.setup.fields import AnswerError, Value, choice, field
 from gateway.setup.interview import _CHASSIS, _CONTROLLERS, Question, robot_file
+from gateway.types import Mode, Request, RequestKind, Twist
+from tests.world import World
 
 CHASSIS: dict[str, dict[str, Value]] = {
     "omni": {"robot.wheels": 3, "robot.reach": 0.2, "robot.radius": 0.05},
     "mecanum": {"robot.wheelbase": 0.4, "robot.track": 0.36, "robot.radius": 0.0762},
     "offset_differential": {"robot.wheel_radius": 0.1, "robot.axle_offset": 0.2, "robot.track": 0.4},
+    "odd": {"robot.radius": 0.0762, "robot.spacing": 0.1, "robot.narrowest": 0.25, "robot.widest": 0.6},
 }
 MOTOR: dict[str, Value] = {
     "motor.gear_ratio": 12,
@@ -75,9 +80,7 @@ def test_every_chassis_with_every_controller_is_a_robot_that_can_be_driven(chass
 
 
 def test_the_tables_are_those_of_the_gateway() -> None:
-    models = (OffsetDifferentialRobot, OmniRobot, MecanumRobot)
-    assert {model.model_fields["kind"].annotation.__args__[0] for model in models} == set(_CHASSIS)  # type: ignore[union-attr]
-    assert set(_CHASSIS) == set(CHASSIS)
+    assert set(_CHASSIS) == set(CHASSIS) == set(REGISTRY)
     assert set(_CONTROLLERS) == set(CONTROLLERS)
 
 
@@ -96,6 +99,43 @@ def test_wheels_are_where_they_are_said_to_be() -> None:
         (-0.2, -0.18, False),
         (0.2, -0.18, True),
     ]
+
+
+@pytest.mark.parametrize(("side", "first"), [("left", pi / 4), ("right", -pi / 4)])
+def test_the_pairs_of_the_odd(side: str, first: float) -> None:
+    """Its rollers go one way and the other in turn; it begins in the middle of its range unless told."""
+    answers = answers_of("odd", "c620") | {"robot.rollers": side, "limits.width_rate": 0.15}
+    config = parse(robot_file(asking(answers)), "ours")
+    assert isinstance(config.robot, OddRobot)
+    assert config.robot.roller_angles == (first, -first, first, -first)
+    assert (config.robot.width, config.robot.width_sensor) == (0.425, None)
+    assert config.limits.velocity.as_rates(config.robot.AXES)[3] == 0.15
+    for key, answer, words in (("robot.narrowest", 0.05, "0.1 to 10, m"), ("robot.width", 0.7, "0.25 to 0.6, m")):
+        with pytest.raises(AnswerError, match=words):
+            robot_file(asking(answers | {key: answer}))
+
+
+# Slow enough for every controller, and for an offset-differential robot that has to turn its chassis first.
+DRIVES = (Twist(0.2, 0.0, 0.0), Twist(0.0, 0.15, 0.0), Twist(0.0, 0.0, 0.3))
+
+
+@pytest.mark.parametrize("chassis", CHASSIS)
+@pytest.mark.parametrize("twist", DRIVES)
+def test_what_is_written_drives(chassis: str, twist: Twist) -> None:
+    """On the simulated robot, whose joint stands at zero."""
+    text = robot_file(asking(answers_of(chassis, "c620")))
+    world = World("omni4", edit=lambda _: text)
+    world.run(0.3)
+    for joint in world.config.robot.kinematics().steered:
+        motor = world.config.motors_in_order()[joint].name
+        world.cycle(requests=[Request(RequestKind.REFERENCE, 7, world.now_ns, motor, 0.0)])
+    world.start()
+    world.run(2.5, twist)
+    assert world.is_in(Mode.DRIVE)
+    assert tuple(world.bus.robot.truth.twist) == pytest.approx(tuple(twist), abs=0.03)
+    world.run(2.0)
+    assert world.is_in(Mode.IDLE)
+    assert world.true_speed() < 0.01
 
 
 def called(*arguments: object) -> Result:
@@ -124,7 +164,7 @@ def test_by_script(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["robot.kind=tank"], "robot.kind: 'tank': must be offset_differential or omni or mecanum"),
+        (["robot.kind=tank"], "robot.kind: 'tank': must be offset_differential or omni or mecanum or odd"),
         (["robot.kind=omni"], "robot.name: missing"),
         (["robot.kind=omni", "robot.name=Ours"], "must be lower case letters, digits, _ and -"),
         (["robot.kind=omni", "robot.name=ours", "robot.wheels=2"], "robot.wheels: 2: must be 3 to 8"),
