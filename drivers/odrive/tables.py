@@ -15,15 +15,18 @@ COMMAND_MASK: Final = 0x1F
 GET_VERSION: Final = 0x00
 HEARTBEAT: Final = 0x01
 RX_SDO: Final = 0x04
+TX_SDO: Final = 0x05
 SET_AXIS_STATE: Final = 0x07
 GET_ENCODER_ESTIMATES: Final = 0x09
 SET_CONTROLLER_MODE: Final = 0x0B
 SET_INPUT_VEL: Final = 0x0D
 SET_INPUT_TORQUE: Final = 0x0E
 SET_LIMITS: Final = 0x0F
+REBOOT: Final = 0x16
 CLEAR_ERRORS: Final = 0x18
 
 SDO_READ, SDO_WRITE = 0, 1
+REBOOT_SAVE: Final = 1  # save the settings first; ODriveResources, examples/can_simple_utils.py
 INPUT_PASSTHROUGH: Final = 1  # the host makes the ramps
 
 
@@ -111,7 +114,7 @@ TO_DEVICE_06: Final = COMMON_TO_DEVICE | {
     0x06: _message(
         "Address", "<Q", Field("Node_ID", 0, 0, 0xFF), Field("Serial_Number", 0, 8, 0xFFFF_FFFF_FFFF), needed=7
     ),
-    0x16: _message("Reboot", "<B", "Action", length=1),
+    REBOOT: _message("Reboot", "<B", "Action", length=1),
     CLEAR_ERRORS: _message("Clear_Errors", "<B", "Identify", length=1),
     0x19: _message("Set_Absolute_Position", "<f", "Position"),
     0x1F: _empty("Enter_DFU_Mode"),
@@ -130,7 +133,7 @@ FROM_DEVICE_06: Final = COMMON_FROM_DEVICE | {
     ),
     0x03: _message("Get_Error", "<II", "Active_Errors", "Disarm_Reason"),
     # The length of the value depends on the parameter: a bool has one byte.
-    0x05: _message("TxSdo", "<BHBI", "Reserved0", "Endpoint_ID", "Reserved1", "Value", needed=5),
+    TX_SDO: _message("TxSdo", "<BHBI", "Reserved0", "Endpoint_ID", "Reserved1", "Value", needed=5),
     0x15: _message("Get_Temperature", "<ff", "FET_Temperature", "Motor_Temperature"),
     0x1C: _message("Get_Torques", "<ff", "Torque_Target", "Torque_Estimate"),
     0x1D: _message("Get_Powers", "<ff", "Electrical_Power", "Mechanical_Power"),
