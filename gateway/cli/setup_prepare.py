@@ -14,12 +14,16 @@ from drivers.odrive.endpoints import EndpointError, FlatEndpoints, Value, read_f
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.cli.rewriting import RewriteError, keep, rewrite
-from gateway.cli.setup_jog import EXIT_REFUSED
+from gateway.cli.setup_jog import EXIT_REFUSED, warning
 from gateway.config import Bus, Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
+from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import Claims, refuse_where_commanded
 from gateway.edges.listening import Place, listen
+from gateway.edges.signals import EndRequest
+from gateway.edges.turning import turn
 from gateway.setup import prepare_dji, prepare_odrive, prepare_vesc
+from gateway.setup.calibrating import Calibration, Outcome
 from gateway.setup.census import Census
 from gateway.setup.correction import CorrectionError, difference, with_options
 from gateway.setup.preparation import Ear, Line, Verdict, wrong
@@ -31,6 +35,7 @@ EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 ASKED_AT: Final = (0.4, 0.6, 0.8)  # of the time: a frame may be lost
 LONGEST_FILE: Final = 4_000_000  # bytes
 EXCHANGE_S: Final = 60.0
+PERIOD_NS: Final = 10_000_000
 _STYLES: Final = {Verdict.OK: "green", Verdict.NO: "red", Verdict.UNKNOWN: "yellow"}
 
 
@@ -48,14 +53,18 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
     watchdog: Annotated[
         float | None, typer.Option(min=0.003, max=1.0, help="S; for ODrives whose watchdog the robot file waives.")
     ] = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option("--calibrate", help="ODrive 0.6: motors that are not calibrated are; they turn. Asks once more."),
+    ] = False,
     seconds: Annotated[float, typer.Option(min=0.5, max=60.0, help="How long to listen.")] = 2.0,
     yes: Yes = False,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
 ) -> None:
     """Compare what the robot file needs with what its controllers are set to, and set that where you say yes.
 
-    It listens first, and asks ODrives of firmware 0.6 for their settings; nothing turns. Exit 1 where something is not
-    as the robot file needs it, and is not set.
+    It listens first, and asks ODrives of firmware 0.6 for their settings; nothing turns without --calibrate. Exit 1
+    where something is not as the robot file needs it, and is not set.
     """
     config, text = load(file)
     try:
@@ -67,6 +76,9 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
                 work.show()
             work.set(yes=yes)
             kept = work.correct(file, text, watchdog, yes=yes)
+        if calibrate and work.calibrated(yes=yes):
+            with _to_themselves(work.motors, config):
+                work.look()
     except (PrepareError, AdapterError, RewriteError, CorrectionError) as error:
         if json:
             print_json({"ok": False, "reason": str(error)})
@@ -285,6 +297,25 @@ class _Work:
             complain(f"{bus}: its controllers restart with {place.bitrate} bit/s: set {place.channel} so, run it again")
         return bool(moved)
 
+    # -- calibrating --------------------------------------------------------------------------------------------------
+
+    def calibrated(self, *, yes: bool) -> bool:
+        """Whether a person let it happen. Raises PrepareError where one does not end well, and lets it go."""
+        paths = prepare_odrive.CALIBRATED
+        names = {line.motor for line in wrong(self.lines) if line.what in paths}
+        motors = [motor for motor in self.motors if motor.name in names]
+        what = f"{warning(self.config, *names)} Each turns by itself, a turn or so there and back: {', '.join(names)}."
+        if not motors or not _allowed(what, "to calibrate them", yes=yes):
+            return False
+        for motor in motors:
+            errors.print(f"{motor.name} calibrates itself now.", highlight=False, markup=False)
+            outcome = _turned(self.config, self._buses[motor.bus], motor)
+            if not outcome.ok:
+                held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
+                raise PrepareError(f"{motor.name}: not calibrated: {outcome.reason}{held}")
+            self._save(motor)
+        return True
+
     # -- the robot file -----------------------------------------------------------------------------------------------
 
     def correct(self, file: Path, text: str, watchdog: float | None, *, yes: bool) -> Path | None:
@@ -354,6 +385,19 @@ class _Asker:
             return ()
         del self._due[0]
         return self._frames
+
+
+def _turned(config: RobotConfig, bus: Bus, motor: Motor) -> Outcome:
+    """One calibration, with the bus to itself. Raises InUseError."""
+    refuse_where_commanded(bus.interface, bus.channel)
+    procedure, ending = Calibration(bus.name, motor.id), EndRequest()
+    buses = CanBuses(config.model_copy(update={"bus": [bus]}))
+    try:
+        with ending.heeded():
+            turn(buses, procedure, ending, period_ns=PERIOD_NS)
+    finally:
+        buses.close()
+    return procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
 
 
 def _place(bus: Bus) -> Place:

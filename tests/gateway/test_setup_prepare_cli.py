@@ -10,6 +10,7 @@ from typer.testing import Result
 from gateway.config import load
 from gateway.edges.claims import Claims
 from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.controllers.odrive_parameters import CALIBRATED
 from tests.gateway.test_setup_cli import Stand, called, document
 
 ENCODER_MS = "axis0.config.can.encoder_msg_rate_ms"
@@ -232,3 +233,21 @@ def test_a_motor_that_is_not_in_the_file(stand: Callable[..., Stand]) -> None:
     result = prepared(stand("kiwi"), "nose")
     assert result.exit_code == 1
     assert "there is front, rear_left, rear_right" in reason(result)
+
+
+def test_a_calibration_needs_a_word_of_its_own(stand: Callable[..., Stand]) -> None:
+    one = stand("kiwi")
+    device = odrives(one)["front"]
+    set_wrong(device, dict.fromkeys(CALIBRATED, 0.0))
+    flat = flat_file(one)
+    result = prepared(one, "front", "--endpoints", flat, "--yes")
+    assert result.exit_code == 1
+    assert rows(result)["front", CALIBRATED[0]] == ("true", "false", "no")
+    assert set(one.plant.angles) == {0.0}
+    turned = prepared(one, "front", "--endpoints", flat, "--yes", "--calibrate")
+    assert turned.exit_code == 0, turned.output
+    assert "Lift the robot" in turned.stderr
+    assert one.plant.angles[0] != 0.0
+    assert one.plant.angles[1:] == (0.0, 0.0)
+    device.power_cycle()
+    assert all(device.axis.parameters[name] for name in CALIBRATED)
