@@ -11,6 +11,7 @@ from gateway.cli.output import EXIT_CONFIG, complain, console, print_json
 from gateway.cli.polar import polar
 from gateway.config import ConfigError, read
 from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examine_text
+from gateway.setup.prepare_odrive import unproven
 
 
 def check(
@@ -20,7 +21,7 @@ def check(
     """Validate a robot file and print what follows from it. Exit 78 if it must not be driven with."""
     try:
         found = robot_files.locate(file)
-        _, report = examine_text(read(found.path), str(found.path))
+        config, report = examine_text(read(found.path), str(found.path))
     except ConfigError as error:
         if json:
             print_json({"valid": False, "file": error.origin, "problems": list(error.problems)})
@@ -28,7 +29,9 @@ def check(
             complain(str(error))
         raise typer.Exit(EXIT_CONFIG) from None
     unlike = robot_files.unlike(found.path, report.robot)
-    report = report._replace(warnings=(*report.warnings, *([] if unlike is None else [unlike])))
+    report = report._replace(
+        warnings=(*report.warnings, *unproven(config), *([] if unlike is None else [unlike])),
+    )
     if json:
         print_json({"file": str(found.path), "place": found.place.value} | _document(report))
     else:

@@ -282,6 +282,19 @@ def file_line(motor: Motor, flat: FlatEndpoints | None) -> Line:
     return Line(motor.name, what, wanted_words, said, Verdict.OK if right else Verdict.NO, todo)
 
 
+def unproven(config: RobotConfig) -> list[str]:
+    """A warning where nobody has compared the numbers with the vendor's file: in another firmware they mean others."""
+    names = [
+        motor.name for motor in config.motor if motor.options.keys() >= OPTIONS.keys() and PROOF not in motor.options
+    ]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: nobody knows for which firmware and hardware their endpoints were read; "
+        "`drivegate setup prepare FILE --endpoints flat_endpoints.json` compares them and notes it"
+    ]
+
+
 # -- in words, 0.5 ----------------------------------------------------------------------------------------------------
 
 
