@@ -87,6 +87,8 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
     bad = wrong(work.lines)
     if json:
         print_json(work.document() | {"ok": not bad, "kept": kept and str(kept)})
+    elif work.changed or kept:
+        work.show_rest()
     if bad:
         raise typer.Exit(EXIT_REFUSED)
 
@@ -355,22 +357,46 @@ class _Work:
 
     def show(self) -> None:
         """For a person."""
-        table = Table("motor", "what", "wanted", "found", "", title=f"what {self.config.robot.name} needs")
+        table = Table("motor", title=f"what {self.config.robot.name} needs")
+        for head in ("what", "wanted", "found", ""):
+            table.add_column(head, overflow="fold")
         for line in self.lines:
             style = _STYLES[line.verdict]
             table.add_row(line.motor, line.what, line.wanted, line.found, f"[{style}]{line.verdict.value}[/]")
         console.print(table)
-        for line in self.lines:
-            if line.todo:
-                console.print(f"{line.motor}, {line.what}: {line.todo}", markup=False, highlight=False)
+        for said in _advice(self.lines):
+            _say(said)
         for motor, steps in self.instructions().items():
-            console.print(f"{motor}, by the vendor's tool:", markup=False, highlight=False)
+            _say(f"{motor}, by the vendor's tool:")
             for step in steps:
-                console.print(f"  {step}", markup=False, highlight=False)
+                _say(f"  {step}")
+
+    def show_rest(self) -> None:
+        """What is still not as needed, or not known, after something was set."""
+        rest = [line for line in self.lines if line.verdict is not Verdict.OK]
+        for line in rest:
+            _say(
+                f"{line.verdict.value}: {line.motor}, {line.what}: wanted {line.wanted or 'nothing'}, found {line.found}"
+            )
+        if not rest:
+            _say(f"everything of {', '.join(motor.name for motor in self.motors)} is as the robot file needs it")
 
     def document(self) -> dict[str, object]:
         rows = [line._asdict() | {"verdict": line.verdict.value} for line in self.lines]
         return {"lines": rows, "changed": self.changed, "by_hand": self.instructions()}
+
+
+def _advice(lines: Sequence[Line]) -> list[str]:
+    """What to do, each once, and for which motors; what a yes sets is shown before it is asked."""
+    motors: dict[tuple[str, str], list[str]] = {}
+    for line in lines:
+        if line.todo not in ("", prepare_odrive.A_YES):
+            motors.setdefault((line.what, line.todo), []).append(line.motor)
+    return [f"{what} ({', '.join(names)}): {todo}" for (what, todo), names in motors.items()]
+
+
+def _say(text: str) -> None:
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 class _Asker:

@@ -27,6 +27,7 @@ GRIP_TORQUES_MS: Final = 10  # a launch without slip learns from them
 ENABLE: Final = "axis0.config.enable_watchdog"
 TIMEOUT: Final = "axis0.config.watchdog_timeout"
 BAUD_RATE: Final = "can.config.baud_rate"
+A_YES: Final = "a yes sets it"
 IN_FILE: Final = "endpoints in the robot file"
 WHEREABOUTS: Final = (
     "flat_endpoints.json of exactly this firmware and hardware: the vendor publishes it with the firmware"
@@ -164,7 +165,8 @@ def heard_lines(ear: Ear, motor: Motor) -> list[Line]:
     message = firmware.from_device[tables.HEARTBEAT]
     if heartbeat is not None and len(heartbeat.data) >= message.needed:
         errors, _, _ = firmware.heartbeat(message.layout.unpack(heartbeat.data.ljust(message.layout.size, b"\0")))
-        words = error_words(errors, firmware.errors)
+        # That nobody feeds its watchdog now is as it should be.
+        words = error_words(errors & ~firmware.host_silent, firmware.errors)
         todo = "`drivegate doctor --explain` it; an arming clears what is over" if words else ""
         lines.append(Line(motor.name, "error", "none", words or "none", Verdict.NO if words else Verdict.OK, todo))
     return lines
@@ -230,7 +232,7 @@ def _setting_line(motor: Motor, flat: FlatEndpoints, one: Setting, values: Mappi
         return Line(motor.name, one.path, words(one.wanted), "not read", Verdict.UNKNOWN)
     value = values[one.path]
     right = one.accepts(value)
-    todo = "" if right else one.todo or "set it: a yes, or by hand in odrivetool"
+    todo = "" if right else one.todo or A_YES
     return Line(motor.name, one.path, words(one.wanted), words(value), Verdict.OK if right else Verdict.NO, todo)
 
 
@@ -268,18 +270,22 @@ def file_line(motor: Motor, flat: FlatEndpoints | None) -> Line:
         found = f"no watchdog: {motor.watchdog_waiver}"
         todo = "--watchdog SECONDS with --endpoints gives it one"
         return Line(motor.name, what, "a command timeout", found, Verdict.UNKNOWN, todo)
-    given = ", ".join(str(motor.options.get(key, "none")) for key in OPTIONS)
-    proof = motor.options.get(PROOF)
+    found = _numbers(motor.options)
     if flat is None:
-        proven = proof is not None
+        proven = PROOF in motor.options
         todo = "" if proven else "typed by hand: --endpoints compares them with the vendor's file"
-        return Line(motor.name, what, "", given, Verdict.OK if proven else Verdict.UNKNOWN, todo)
+        return Line(motor.name, what, "", found, Verdict.OK if proven else Verdict.UNKNOWN, todo)
     wanted = file_options(flat)
     right = {**motor.options} == wanted
-    said = f"{given} (of {proof})" if proof else f"{given} (of nobody knows what)"
-    wanted_words = f"{', '.join(str(wanted[key]) for key in OPTIONS)} (of {wanted[PROOF]})"
-    todo = "" if right else "a yes writes them into the robot file"
-    return Line(motor.name, what, wanted_words, said, Verdict.OK if right else Verdict.NO, todo)
+    return Line(
+        *(motor.name, what, _numbers(wanted), found), Verdict.OK if right else Verdict.NO, "" if right else A_YES
+    )
+
+
+def _numbers(options: Mapping[str, Value | str]) -> str:
+    """Options in words."""
+    firmware, *numbers = (str(options.get(key, "none")) for key in OPTIONS)
+    return f"{', '.join(numbers)} of {options.get(PROOF, f'{firmware}, hardware unknown')}"
 
 
 def unproven(config: RobotConfig) -> list[str]:

@@ -199,8 +199,8 @@ def test_the_endpoints_of_another_firmware_in_the_robot_file_are_told() -> None:
     line = prepare_odrive.file_line(motor, read_flat(flat()))
     assert line.verdict is Verdict.NO
     assert (line.wanted, line.found) == (
-        "0.6.8, 302, 301 (of 0.6.8 4.4.58)",
-        "0.6.8, 188, 189 (of nobody knows what)",
+        "302, 301 of 0.6.8 4.4.58",
+        "188, 189 of 0.6.8, hardware unknown",
     )
 
 
