@@ -32,3 +32,8 @@ def heard_lines(ear: Ear, motor: Motor, bus: Bus) -> list[Line]:
 def _silent(motor: Motor) -> str:
     by = "its switches 1 to 3" if motor.variant == "gm6020" else "its SET button"
     return f"power of the motors, cable, 1 Mbit/s, id {motor.id} by {by}: `drivegate setup scan` tells who is there"
+
+
+def by_hand(_motor: Motor, _bus: Bus) -> list[str]:
+    """Nothing but what the lines say."""
+    return []

@@ -143,8 +143,8 @@ def idle(ear: Ear, motor: Motor) -> bool:
     return heard is not None and len(heard.data) > 4 and heard.data[4] == AxisState.IDLE
 
 
-def heard_lines(ear: Ear, motor: Motor) -> list[Line]:
-    """By listening alone, and what it told of its versions."""
+def heard_lines(ear: Ear, motor: Motor, _bus: Bus) -> list[Line]:
+    """By listening alone."""
     firmware = FIRMWARES[motor.variant]
     heartbeat = ear.of(motor.id << tables.NODE_SHIFT | tables.HEARTBEAT)
     estimates = ear.of(motor.id << tables.NODE_SHIFT | tables.GET_ENCODER_ESTIMATES)
@@ -169,7 +169,14 @@ def heard_lines(ear: Ear, motor: Motor) -> list[Line]:
         words = error_words(errors & ~firmware.host_silent, firmware.errors)
         todo = "`drivegate doctor --explain` it; an arming clears what is over" if words else ""
         lines.append(Line(motor.name, "error", "none", words or "none", Verdict.NO if words else Verdict.OK, todo))
-    return lines
+    return lines if firmware.tells_version else [*lines, _untold(motor)]
+
+
+def _untold(motor: Motor) -> Line:
+    """What of 0.5 nobody can read over CAN."""
+    found = f"firmware {motor.variant} tells none over CAN"
+    todo = "type what is told below into odrivetool"
+    return Line(motor.name, "settings", "as the robot file", found, Verdict.UNKNOWN, todo)
 
 
 # -- by its parameters, 0.6 -------------------------------------------------------------------------------------------
@@ -304,8 +311,10 @@ def unproven(config: RobotConfig) -> list[str]:
 # -- in words, 0.5 ----------------------------------------------------------------------------------------------------
 
 
-def odrivetool(config: RobotConfig, motor: Motor, bus: Bus) -> list[str]:
-    """What to type for firmware 0.5, which has no parameters over CAN; names as in its odrive-interface.yaml."""
+def by_hand(motor: Motor, bus: Bus) -> list[str]:
+    """What to type into odrivetool for firmware 0.5; names as in its odrive-interface.yaml."""
+    if FIRMWARES[motor.variant].tells_version:
+        return []
     speed, control = motor.max_speed * motor.gear_ratio / tau, _control(motor)
     return [
         f"axis = odrv0.axis0   # or axis1: that which drives {motor.name}",
@@ -322,15 +331,4 @@ def odrivetool(config: RobotConfig, motor: Motor, bus: Bus) -> list[str]:
         "axis.config.startup_closed_loop_control = False",
         "axis.motor.config.pre_calibrated, axis.encoder.config.pre_calibrated   # True, True once it is calibrated",
         "odrv0.save_configuration()",
-    ]
-
-
-def old_lines(motor: Motor) -> list[Line]:
-    """What of 0.5 nobody can read over CAN."""
-    return [
-        Line(
-            *(motor.name, "settings", "as the robot file", f"firmware {motor.variant} tells none over CAN"),
-            Verdict.UNKNOWN,
-            "type what is told below into odrivetool",
-        )
     ]

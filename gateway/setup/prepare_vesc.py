@@ -8,15 +8,13 @@ from gateway.setup.preparation import Ear, Line, Verdict, rate_line
 
 _PAGE: Final = "VESC Tool, App Settings, General"
 _WARM: Final = 1.0  # Hz, of the temperatures, at least
-_PONG: Final = 18
 
 
-def heard_lines(ear: Ear, motor: Motor) -> list[Line]:
+def heard_lines(ear: Ear, motor: Motor, _bus: Bus) -> list[Line]:
     """Whether it is there, and whether its status messages come as the robot file says."""
     rate = motor.feedback_rate or 0.0
     heard = {at: ear.of(at << 8 | motor.id, extended=True) for at in (STATUS, STATUS_5, STATUS_4)}
     if not any(heard.values()):
-        # A pong comes to whoever asked, and begins with who answers.
         todo = f"{_PAGE}: VESC ID {motor.id}, CAN Mode VESC, and status messages on; power, cable, bit rate"
         return [Line(motor.name, "answers", f"id {motor.id}", "no status message", Verdict.NO, todo)]
     page = f"{_PAGE}, CAN Status Messages"
@@ -42,8 +40,8 @@ def _timeout_line(motor: Motor) -> Line:
     return Line(motor.name, what, wanted, "not told", Verdict.UNKNOWN, todo)
 
 
-def vesc_tool(motor: Motor, bus: Bus) -> list[str]:
-    """What to set; names as of firmware 6."""
+def by_hand(motor: Motor, bus: Bus) -> list[str]:
+    """What to set in VESC Tool; names as of firmware 6."""
     timeout = "" if motor.watchdog is None else f"{1e3 * motor.watchdog.timeout:g} ms"
     rate = motor.feedback_rate or 0.0
     return [

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers import DRIVERS
 from drivers.contract import CanFrame
 from drivers.odrive.endpoints import Endpoint, EndpointError, FlatEndpoints, read_flat
 from gateway import robot_files
@@ -16,6 +17,7 @@ from gateway.config import Motor, RobotConfig, load, parse
 from gateway.core.examination import examine
 from gateway.setup import prepare_dji, prepare_odrive, prepare_vesc
 from gateway.setup.preparation import Ear, Heard, Line, Verdict, rate_line
+from gateway.setup.prepare_kinds import KINDS
 from gateway.setup.restart import Restart
 from gateway.setup.sdo import ATTEMPTS, SETTLE_S, WRITES, Exchange, Job
 from tests.setup_robots import kiwi
@@ -29,6 +31,10 @@ RATE = Endpoint("axis0.config.can.encoder_msg_rate_ms", 303, "uint32")
 
 def bundled(name: str) -> RobotConfig:
     return load(robot_files.bundled()[name])[0]
+
+
+def test_every_driver_has_its_row() -> None:
+    assert KINDS.keys() == DRIVERS.keys()
 
 
 # -- asking -----------------------------------------------------------------------------------------------------------
@@ -240,7 +246,7 @@ def old_odrive() -> tuple[RobotConfig, Motor]:
 
 def test_what_to_type_for_firmware_05_are_names_that_it_has() -> None:
     config, motor = old_odrive()
-    typed = prepare_odrive.odrivetool(config, motor, config.bus[0])
+    typed = prepare_odrive.by_hand(motor, config.bus[0])
     assert f"axis.config.can.node_id = {motor.id}" in typed
     assert "odrv0.can.config.baud_rate = 1000000" in typed
     listed = tomllib.loads(
@@ -248,7 +254,12 @@ def test_what_to_type_for_firmware_05_are_names_that_it_has() -> None:
     )["names"]
     names = {name.strip() for line in typed for name in line.partition("#")[0].partition("=")[0].split(",")}
     assert {name for name in names if name.startswith(("axis.", "odrv0."))} <= {*listed}
-    assert prepare_odrive.old_lines(motor)[0].verdict is Verdict.UNKNOWN
+    heard = ear((motor.id << 5 | 1, False, 10.0), (motor.id << 5 | 9, False, 250.0))
+    lines = prepare_odrive.heard_lines(heard, motor, config.bus[0])
+    assert found_in(lines) == {
+        **{"Heartbeat": Verdict.OK, "Get_Encoder_Estimates": Verdict.OK, "error": Verdict.OK},
+        "settings": Verdict.UNKNOWN,
+    }
 
 
 # -- VESC and RoboMaster ----------------------------------------------------------------------------------------------
@@ -267,15 +278,17 @@ def test_a_vesc_by_listening() -> None:
     config = bundled("omni4_vesc")
     motor = config.motor[0]
     rate = motor.feedback_rate or 0.0
-    right = prepare_vesc.heard_lines(ear(*[(at << 8 | motor.id, True, hz) for at, hz in vesc_rates(rate)]), motor)
+    right = prepare_vesc.heard_lines(
+        ear(*[(at << 8 | motor.id, True, hz) for at, hz in vesc_rates(rate)]), motor, config.bus[0]
+    )
     assert [line.verdict for line in right[:3]] == [Verdict.OK] * 3
     assert right[3].verdict is Verdict.UNKNOWN
-    new = prepare_vesc.heard_lines(ear(), motor)
+    new = prepare_vesc.heard_lines(ear(), motor, config.bus[0])
     assert found_in(new) == {"answers": Verdict.NO}
-    half = prepare_vesc.heard_lines(ear((9 << 8 | motor.id, True, 50.0)), motor)
+    half = prepare_vesc.heard_lines(ear((9 << 8 | motor.id, True, 50.0)), motor, config.bus[0])
     assert [line.verdict for line in half[:3]] == [Verdict.NO] * 3
     assert f"rate 1 = {rate:g} Hz" in half[0].todo
-    told = " ".join(prepare_vesc.vesc_tool(motor, config.bus[0]))
+    told = " ".join(prepare_vesc.by_hand(motor, config.bus[0]))
     timeout = 0.0 if motor.watchdog is None else motor.watchdog.timeout
     for word in (f"VESC ID = {motor.id};", f"Timeout = {1e3 * timeout:g} ms", "1000K", str(motor.options["min_erpm"])):
         assert word in told
