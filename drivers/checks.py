@@ -74,15 +74,22 @@ def check_count(commands: Sequence[MotorCommand], motors: Sequence[object]) -> N
         raise ValueError(f"{len(commands)} commands: must be one for each of {len(motors)} motors")
 
 
-def check_options(motor: MotorSpec, known: Mapping[str, Option], *, of: str) -> None:
+NO_OPTIONS: Final[Mapping[str, Option]] = {}
+
+
+def check_options(
+    motor: MotorSpec, needed: Mapping[str, Option], *, of: str, optional: Mapping[str, Option] = NO_OPTIONS
+) -> None:
     """Raise ValueError for an option that is unknown, missing or not allowed. `of`: whose options, in words."""
+    known = {**needed, **optional}
     for key, value in motor.options.items():
         where = f"motor {motor.name}: options.{key} = {value!r}"
         if key not in known:
-            raise ValueError(f"{where}: no such option; {of} has {', '.join(known) or 'none'}")
+            may = f" may have {', '.join(optional)}, and" if optional else ""
+            raise ValueError(f"{where}: no such option; {of}{may} has {', '.join(needed) or 'none'}")
         if not known[key].takes(value):
             raise ValueError(f"{where}: must be {known[key].allowed}")
-    for key, option in known.items():
+    for key, option in needed.items():
         if key not in motor.options:
             raise ValueError(f"motor {motor.name}: options.{key} is missing: must be {option.allowed}")
 

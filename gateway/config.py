@@ -178,7 +178,7 @@ class Watchdog(Section):
 
 
 # Options of an ODrive that were keys of `watchdog` in the robot files of recorded sessions: they are still read.
-_MOVED_FROM_WATCHDOG = {
+MOVED_FROM_WATCHDOG = {
     "firmware": "firmware",
     "enable_endpoint": "watchdog_enable_endpoint",
     "timeout_endpoint": "watchdog_timeout_endpoint",
@@ -265,10 +265,10 @@ class Motor(Section):
         watchdog, options = given.get("watchdog"), given.get("options", {})
         if not isinstance(watchdog, dict) or not isinstance(options, dict):
             return given
-        moved = {new: watchdog[old] for old, new in _MOVED_FROM_WATCHDOG.items() if old in watchdog}
+        moved = {new: watchdog[old] for old, new in MOVED_FROM_WATCHDOG.items() if old in watchdog}
         if not moved or moved.keys() & options.keys():
             return given
-        kept = {key: value for key, value in watchdog.items() if key not in _MOVED_FROM_WATCHDOG}
+        kept = {key: value for key, value in watchdog.items() if key not in MOVED_FROM_WATCHDOG}
         return given | {"watchdog": kept, "options": options | moved}
 
     @model_validator(mode="after")

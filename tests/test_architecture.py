@@ -40,7 +40,9 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
-    "gateway/setup": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/control", "gateway/core"},
+    "gateway/setup": {
+        *("drivers", "drivers/odrive", "ground", "gateway/chassis", "robot file", "gateway/control", "gateway/core"),
+    },
     "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {

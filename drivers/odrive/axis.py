@@ -10,7 +10,7 @@ from typing import Any, Final
 from drivers.checks import feedback_timeout_ns, measuring_hz
 from drivers.contract import CanFrame, DriverFault, MotorSpec
 from drivers.odrive import tables
-from drivers.odrive.firmware import FIRMWARES, error_code, error_words
+from drivers.odrive.firmware import FIRMWARES, error_code, error_words, told_versions
 from drivers.odrive.tables import AxisState, Control
 from drivers.odrive.watchdog import watchdog_of
 from drivers.records import data_frame
@@ -72,6 +72,7 @@ class Axis:
         "errors",
         "fault",
         "firmware",
+        "hardware",
         "heartbeat_ns",
         "heartbeat_until_ns",
         "kind",
@@ -117,6 +118,7 @@ class Axis:
         self.booting = False
         self.closed_ns: int | None = None  # first heartbeat of this closed loop
         self.version: str | None = None
+        self.hardware: str | None = None  # told together with the version
         self.timeout_read: float | None = None
         self.enable_read: bool | None = None
         self.reasons: dict[int, int] = {}
@@ -197,7 +199,7 @@ class Axis:
         self.entered_ns = None
         self.told = 0
         if step is Step.HEARTBEAT:
-            self.version = None
+            self.version = self.hardware = None
             self.configured = 0
         if step is Step.VERIFY:
             self.timeout_read = self.enable_read = None
@@ -326,8 +328,7 @@ class Axis:
         return closed_ns is not None and now_ns - closed_ns >= ESTIMATES_SETTLE_NS
 
     def _take_version(self, items: tuple[Any, ...], _received_ns: int) -> None:
-        major, minor, revision, unreleased = items[4:]
-        self.version = f"{major}.{minor}.{revision}" + ("-unreleased" if unreleased else "")
+        self.version, self.hardware = told_versions(items)
 
     def _take_parameter(self, items: tuple[Any, ...], _received_ns: int) -> None:
         watchdog = self.watchdog

@@ -159,7 +159,7 @@ def _no_version(_axis: Axis) -> Failure:
 def _right_firmware(axis: Axis, _now_ns: int) -> bool:
     watchdog = axis.watchdog
     if watchdog is not None:
-        return axis.version == watchdog.firmware
+        return axis.version == watchdog.firmware and watchdog.hardware in (None, axis.hardware)
     return axis.version is not None and axis.version.startswith("0.6.")
 
 
@@ -169,6 +169,8 @@ def _wrong_firmware(axis: Axis) -> Failure:
         text = f"firmware {axis.version}, but this driver's variant is 0.6"
         return Step.REFUSE, DriverFault("wrong_firmware", text, latched=True)
     text = f"firmware {axis.version}, but the watchdog endpoints are those of {watchdog.firmware}: not written"
+    if axis.version == watchdog.firmware:
+        text = f"hardware {axis.hardware}, but the watchdog endpoints are those of {watchdog.hardware}: not written"
     return Step.REFUSE, DriverFault("watchdog_unverified", text, latched=True)
 
 

@@ -223,6 +223,13 @@ FIRMWARES: Final[dict[str, Firmware]] = {
 }
 
 
+def told_versions(items: tuple[Any, ...]) -> tuple[str, str]:
+    """Firmware and hardware in Get_Version, as the vendor's flat_endpoints.json has them."""
+    _, *hardware, major, minor, revision, unreleased = items
+    firmware = f"{major}.{minor}.{revision}" + ("-unreleased" if unreleased else "")
+    return firmware, ".".join(str(part) for part in hardware)
+
+
 def every_word() -> tuple[str, ...]:
     """Of the vendor, in both firmware lines."""
     tables = [table for line in FIRMWARES.values() for table in (line.errors, *_of_reasons(line))]

@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.contract import CanFrame
 from drivers.odrive import tables
-from drivers.odrive.firmware import FIRMWARES, error_words
+from drivers.odrive.firmware import FIRMWARES, error_words, told_versions
 from drivers.sighting import Evidence, Sighting
 
 NAME: Final = "odrive"
@@ -111,11 +111,13 @@ def _version(node: int, data: bytes) -> Sighting:
     message = tables.FROM_DEVICE_06[tables.GET_VERSION]
     if len(data) < message.needed:
         return Sighting(NAME, BOTH, node, message.name, Evidence.TALK)
-    protocol, _, _, _, major, minor, revision, unreleased = message.layout.unpack_from(data)
+    items = message.layout.unpack_from(data)
+    protocol, _, _, _, major, minor, _, _ = items
     if protocol == 0 or major != 0 or minor < 6:
         return Sighting(NAME, BOTH, node, message.name, Evidence.TALK)
-    version = f"{major}.{minor}.{revision}" + ("-unreleased" if unreleased else "")
-    return Sighting(NAME, ("0.6",), node, message.name, Evidence.TALK, (("firmware", version),))
+    firmware, hardware = told_versions(items)
+    told = (("firmware", firmware), ("hardware", hardware))
+    return Sighting(NAME, ("0.6",), node, message.name, Evidence.TALK, told)
 
 
 def _address(node: int, data: bytes) -> Sighting:

@@ -15,6 +15,7 @@ COMMAND_MASK: Final = 0x1F
 GET_VERSION: Final = 0x00
 HEARTBEAT: Final = 0x01
 RX_SDO: Final = 0x04
+TX_SDO: Final = 0x05
 ADDRESS: Final = 0x06
 SET_AXIS_STATE: Final = 0x07
 GET_ENCODER_ESTIMATES: Final = 0x09
@@ -26,6 +27,7 @@ REBOOT: Final = 0x16
 CLEAR_ERRORS: Final = 0x18
 
 SDO_READ, SDO_WRITE = 0, 1
+REBOOT_SAVE: Final = 1  # save the settings first; ODriveResources, examples/can_simple_utils.py
 INPUT_PASSTHROUGH: Final = 1  # the host makes the ramps
 
 
@@ -132,7 +134,7 @@ FROM_DEVICE_06: Final = COMMON_FROM_DEVICE | {
     ),
     0x03: _message("Get_Error", "<II", "Active_Errors", "Disarm_Reason"),
     # The length of the value depends on the parameter: a bool has one byte.
-    0x05: _message("TxSdo", "<BHBI", "Reserved0", "Endpoint_ID", "Reserved1", "Value", needed=5),
+    TX_SDO: _message("TxSdo", "<BHBI", "Reserved0", "Endpoint_ID", "Reserved1", "Value", needed=5),
     0x15: _message("Get_Temperature", "<ff", "FET_Temperature", "Motor_Temperature"),
     0x1C: _message("Get_Torques", "<ff", "Torque_Target", "Torque_Estimate"),
     0x1D: _message("Get_Powers", "<ff", "Electrical_Power", "Mechanical_Power"),

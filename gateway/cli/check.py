@@ -13,9 +13,10 @@ from gateway import robot_files
 from gateway.chassis import AnyRobot
 from gateway.cli.output import EXIT_CONFIG, complain, console, in_words, note, print_json
 from gateway.cli.polar import polar
-from gateway.config import ConfigError, read
+from gateway.config import ConfigError, RobotConfig, read
 from gateway.core.examination import LOAD_WARNING, Examination, Push, Pushes, examined
 from gateway.kinematics.contract import GeometryError
+from gateway.setup.prepare_odrive import unproven
 from gateway.setup.words import UNSEEN, positive_ways
 
 EXIT_NOT_WRITTEN: Final = 1
@@ -43,7 +44,7 @@ def check(
     except ConfigError as error:
         _refuse(error, None, json=json)
         raise typer.Exit(EXIT_CONFIG) from None
-    report = None if told.report is None else _with_name(told.report, found.path)
+    report = None if told.report is None else _warned(told.report, told.config, found.path)
     drawn = picture is None or _draw(told.parts.robot, picture)
     if told.problems or report is None or told.config is None:
         _refuse(ConfigError(origin, told.problems), report, json=json)
@@ -60,10 +61,11 @@ def check(
         raise typer.Exit(EXIT_NOT_WRITTEN)
 
 
-def _with_name(report: Examination, path: Path) -> Examination:
-    """With a warning where the robot is called other than its file."""
+def _warned(report: Examination, config: RobotConfig | None, path: Path) -> Examination:
+    """With what is not proven of its controllers, and where the robot is called other than its file."""
     unlike = robot_files.unlike(path, report.robot)
-    return report if unlike is None else report._replace(warnings=(*report.warnings, unlike))
+    more = (*([] if config is None else unproven(config)), *([] if unlike is None else [unlike]))
+    return report._replace(warnings=(*report.warnings, *more))
 
 
 def _refuse(error: ConfigError, report: Examination | None, *, json: bool) -> None:

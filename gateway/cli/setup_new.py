@@ -143,5 +143,5 @@ def _tell(file: Path, problems: Sequence[str], warnings: Sequence[str]) -> None:
     for warning in warnings:
         errors.print(f"warning: {warning}", highlight=False, markup=False)
     fits = "is written, and has to be corrected" if problems else "is written, and can be driven with"
-    words = f"{file} {fits}. Next: `drivegate setup directions {file}`"
+    words = f"{file} {fits}. Next: `drivegate setup prepare {file}`"
     console.print(words, highlight=False, markup=False, soft_wrap=True)

@@ -227,6 +227,7 @@ def _examined(config: RobotConfig) -> tuple[Examination | None, list[str]]:
         warnings=tuple(
             _warnings(
                 config=config,
+                robot=robot,
                 buses=buses,
                 top=top,
                 limit=limit,
@@ -438,6 +439,7 @@ def _sensing(sensor: Sensor) -> Sensing:
 def _warnings(
     *,
     config: RobotConfig,
+    robot: Robot,
     buses: tuple[BusLoad, ...],
     top: Rates,
     limit: Rates,
@@ -471,4 +473,15 @@ def _warnings(
         for motor in config.motor
         if motor.watchdog_waiver is not None
     ]
-    return found
+    return [*found, *_unguarded(robot)]
+
+
+def _unguarded(robot: Robot) -> list[str]:
+    """Controllers that cannot be seen to stop by themselves."""
+    names = [name for name, able in zip(robot.names, robot.capabilities, strict=True) if not able.device_watchdog]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: may hold the last command when a cable is cut or this computer dies, and no software "
+        "ends that: a relay in the supply of the motors does"
+    ]

@@ -1,6 +1,6 @@
 """Puts numbers into the text of a robot file, everything else as it was. Pure."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import unified_diff
 from math import floor, log10
 from typing import Any, NamedTuple
@@ -9,7 +9,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Array, InlineTable
 
-from gateway.config import ConfigError, parse
+from gateway.config import MOVED_FROM_WATCHDOG, ConfigError, parse
+from gateway.core.assembly import build
 
 
 class Change(NamedTuple):
@@ -64,6 +65,23 @@ def with_entries(text: str, entries: Iterable[Entry], origin: str) -> str:
     return new
 
 
+def with_options(text: str, options: Mapping[str, Mapping[str, str | int]], watchdog: float | None, origin: str) -> str:
+    """The text with the `options` of some motors changed; where one waives its watchdog, it gets one of so many s.
+
+    Numbers that older robot files have within `watchdog` move. Raises CorrectionError.
+    """
+    try:
+        document = tomlkit.parse(text)
+        for motor in document["motor"]:
+            if str(motor["name"]) in options:
+                _put_options(motor, options[str(motor["name"])], watchdog)
+        new = tomlkit.dumps(document)
+        build(parse(new, origin), origin)
+    except (TOMLKitError, ConfigError, KeyError) as error:
+        raise CorrectionError(f"{origin}: cannot be changed: {error}") from None
+    return new
+
+
 def rounded(value: float, half: float) -> float:
     """To a hundredth of what is not sure of it."""
     return round(value, 2 - floor(log10(half))) if half > 0.0 else value
@@ -80,6 +98,21 @@ def _put(document: tomlkit.TOMLDocument, entry: Entry) -> None:
         inline += [table] if isinstance(table, InlineTable | Array) else []
     table[key] = entry.value
     (inline[0] if inline else table[key]).comment(entry.note)
+
+
+def _put_options(motor: Any, options: Mapping[str, str | int], watchdog: float | None) -> None:  # noqa: ANN401
+    if watchdog is not None and "watchdog" not in motor:
+        motor.pop("watchdog_waiver", None)
+        motor["watchdog"] = _inline({"timeout": watchdog})
+    if MOVED_FROM_WATCHDOG.keys() & motor["watchdog"].keys():
+        motor["watchdog"] = _inline({"timeout": motor["watchdog"]["timeout"]})
+    motor["options"] = _inline({**motor.get("options", {}), **options})
+
+
+def _inline(values: Mapping[str, str | int | float]) -> Any:  # noqa: ANN401  of tomlkit
+    """A table in one line, spaced as our files have it."""
+    items = ", ".join(f"{key} = {tomlkit.item(value).as_string()}" for key, value in values.items())
+    return tomlkit.parse(f"made = {{ {items} }}\n")["made"]
 
 
 def difference(old: str, new: str, origin: str) -> str:

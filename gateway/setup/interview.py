@@ -319,12 +319,12 @@ def _waived(draft: _Drafting, why: str) -> str:
 def _odrive_06(draft: _Drafting, _of: _Controller) -> list[str]:
     known = draft.text(
         "motor.watchdog",
-        "Do you have flat_endpoints.json of exactly their firmware, for the command timeout?",
+        "Do you know the endpoints of exactly their firmware by number? (else `drivegate setup prepare` reads them)",
         choice(("yes", "no")),
         "no",
     )
     if known == "no":
-        return [_waived(draft, "not set up yet: endpoints of this firmware are to be looked up")]
+        return [_waived(draft, "not set up yet: `drivegate setup prepare` does, with --endpoints and --watchdog")]
     version = draft.text("motor.options.firmware", "Which version, as 0.6.10?", words(5, 11))
     enable = draft.whole(
         "motor.options.watchdog_enable_endpoint", "Endpoint of enable_watchdog?", whole(1, 65535, "id")

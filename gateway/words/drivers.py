@@ -21,11 +21,15 @@ DRIVERS: Final[dict[str, Words]] = {
     "watchdog_unverified": Words(
         "It is not known that the controller stops by itself when the host falls silent, so it is not driven.",
         (
-            "ODrive: another firmware than `options.firmware`, whose endpoints have other numbers",
+            "ODrive: another firmware or hardware than its endpoints were read for, where they have other numbers",
             "VESC: its timeout in VESC Tool is off, longer than `watchdog.timeout`, or somebody else commands it",
             "it does not answer: an old firmware, a broken line",
         ),
-        ("set it in the controller as in the robot file; the text names both", _RESET),
+        (
+            "ODrive: `drivegate setup prepare FILE --endpoints flat_endpoints.json`",
+            "else set it in the controller as in the robot file; the text names both",
+            _RESET,
+        ),
     ),
     "no_version": Words(
         "The controller does not answer what firmware it has.",

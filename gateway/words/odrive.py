@@ -1,6 +1,11 @@
 """The words of ODrive's firmware 0.5 and 0.6, as its error bits and procedure results are called.
 
-Meanings follow the vendor's own reference of error codes; what firmware 0.5 and 0.6 call alike is told once.
+What firmware 0.5 and 0.6 call alike is told once. Meanings were compared entry by entry with the vendor's: those of
+0.5 with Firmware/odrive-interface.yaml (github odriverobotics/ODrive, f9b5419c); those of 0.6 with the one line that
+its reference has for each error, as public drivers quote it (second hand). Procedure results, the SPI and Hall errors
+of the encoder, MODULATION_IS_NAN, CONTROL_DEADLINE_MISSED and REQUESTED_CURRENT_TOO_HIGH have names and numbers alone:
+there the meaning is ours, from the name. Causes and cures are the vendor's where it tells any, else ours. The numbers
+are held against the vendors' listings in tests/vectors/vendor_errors.toml.
 """
 
 from typing import Final
@@ -13,13 +18,15 @@ _TOOL: Final = "look at it with odrivetool (`dump_errors(odrv0)`)"
 
 ODRIVE: Final[dict[str, Words]] = {
     # axis, 0.6
-    "INITIALIZING": Words("It is starting; this passes."),
+    "INITIALIZING": Words("It is starting, or takes new settings; this passes."),
     "SYSTEM_LEVEL": Words(
-        "The whole board has an error: voltage, current, memory or firmware.",
-        ("supply", "a damaged board or firmware"),
-        ("measure the supply", _TOOL, "flash the firmware anew"),
+        "Of 0.6: something within it failed (memory, a program that hangs). Of 0.5: the whole board has an error.",
+        ("0.6: a fault of the firmware or the board", "0.5: voltage or current of the supply, or the brake resistor"),
+        (_TOOL, "0.5: measure the supply under load", "0.6: switch it off and on, then a newer firmware"),
     ),
-    "TIMING_ERROR": Words("Its processor missed a deadline.", ("a fault of the firmware or the board",), (_REBOOT,)),
+    "TIMING_ERROR": Words(
+        "Its processor missed a deadline.", ("too much is switched on in it", "a fault of the firmware"), (_REBOOT,)
+    ),
     "MISSING_ESTIMATE": Words(
         "It has no valid position or speed of its motor.",
         ("encoder unplugged, not calibrated, or its index not found", "the wrong encoder chosen in its settings"),
@@ -32,7 +39,9 @@ ODRIVE: Final[dict[str, Words]] = {
         ("unplug the motor and arm it: if it comes again, the board is damaged", "measure the phases"),
     ),
     "MISSING_INPUT": Words(
-        "No input value was there to control with.", ("a mode that this driver does not use",), (_REBOOT,)
+        "No position, speed or torque was given to it to control with.",
+        ("a mode that this driver does not use",),
+        (_REBOOT,),
     ),
     "DC_BUS_OVER_VOLTAGE": Words(
         "The supply was above `dc_bus_overvoltage_trip_level`.",
@@ -45,19 +54,22 @@ ODRIVE: Final[dict[str, Words]] = {
         ("charge it", "measure at the board under load"),
     ),
     "DC_BUS_OVER_CURRENT": Words(
-        "The board drew more than `dc_max_positive_current`.",
+        "The board drew more from the supply than `dc_max_positive_current`.",
         ("too low a limit for this load",),
         ("raise it as far as supply and wires bear",),
     ),
     "DC_BUS_OVER_REGEN_CURRENT": Words(
         "The board fed back more than `dc_max_negative_current`.",
-        ("braking without a resistor, or with one that is too weak",),
-        ("set up the brake resistor", "raise the limit only where a battery takes it"),
+        ("braking without a resistor, or with one that is off or too weak",),
+        (
+            "connect the brake resistor and switch it on in the settings",
+            "raise the limit only where a battery takes it",
+        ),
     ),
     "CURRENT_LIMIT_VIOLATION": Words(
-        "The motor's current was beyond its limit and margin.",
+        "The motor's current was beyond `current_hard_max` (0.6), or `current_lim` and its margin (0.5).",
         ("the current loop swings: a wrong resistance or inductance", "an encoder that slips", "a shorted phase"),
-        (_CALIBRATE, "lower the bandwidth of its current control"),
+        ("more room: raise that limit above the other", _CALIBRATE, "lower the bandwidth of its current control"),
     ),
     "MOTOR_OVER_TEMP": Words(
         "The motor is too hot.", ("load", "a thermistor with other values"), ("let it cool", "check its settings")
@@ -92,9 +104,9 @@ ODRIVE: Final[dict[str, Words]] = {
         ("fix the magnet", _CALIBRATE),
     ),
     "BRAKE_RESISTOR_DISARMED": Words(
-        "The brake resistor was switched off by the board.",
-        ("it is set up but not connected", "a wrong resistance in the settings"),
-        ("connect it or switch it off in the settings", _REBOOT),
+        "The brake resistor is switched on in the settings, but the board does not use it.",
+        ("it was switched on without a restart since", "an error of the whole board, which switched it off"),
+        (_REBOOT, _TOOL, "correct its resistance in the settings"),
     ),
     "THERMISTOR_DISCONNECTED": Words(
         "The motor's thermistor is enabled, and not there.",
@@ -113,17 +125,21 @@ ODRIVE: Final[dict[str, Words]] = {
         "The estimate without an encoder failed.", ("a wrong encoder mode",), (_TOOL,)
     ),
     "ENCODER_FAILED": Words("See the encoder error in the text.", (), (_TOOL,)),
-    "CONTROLLER_FAILED": Words("See the controller error in the text.", (), (_TOOL,)),
+    "CONTROLLER_FAILED": Words(
+        "Its controller gave up; behind `motor:` the control of the current.",
+        ("see the controller error in the text", "motor or encoder not calibrated"),
+        (_TOOL,),
+    ),
     "MIN_ENDSTOP_PRESSED": Words(
-        "An end stop is pressed.", ("end stops are enabled that a wheel has not",), ("disable them",)
+        "The lower end stop is pressed.", ("end stops are enabled that a wheel has not",), ("disable them",)
     ),
     "MAX_ENDSTOP_PRESSED": Words(
-        "An end stop is pressed.", ("end stops are enabled that a wheel has not",), ("disable them",)
+        "The upper end stop is pressed.", ("end stops are enabled that a wheel has not",), ("disable them",)
     ),
     "HOMING_WITHOUT_ENDSTOP": Words(
-        "Homing was asked for without an end stop.", ("start-up settings",), ("switch homing off",)
+        "Homing was asked for, and the lower end stop is not enabled.", ("start-up settings",), ("switch homing off",)
     ),
-    "OVER_TEMP": Words("Motor or power stage is too hot.", ("load", "no air"), ("let it cool",)),
+    "OVER_TEMP": Words("Motor or power stage is too hot: see the motor error.", ("load", "no air"), ("let it cool",)),
     "UNKNOWN_POSITION": Words("The position is not known.", ("the encoder's index was not found",), (_CALIBRATE,)),
     "motor error flag": Words("The motor has an error of its own: see the words behind `motor:`.", (), (_TOOL,)),
     "encoder error flag": Words("The encoder has an error of its own: see the words behind `encoder:`.", (), (_TOOL,)),
@@ -143,14 +159,17 @@ ODRIVE: Final[dict[str, Words]] = {
     ),
     "CONTROL_DEADLINE_MISSED": Words("Its processor missed a deadline.", ("a fault of the firmware",), (_REBOOT,)),
     "MODULATION_MAGNITUDE": Words(
-        "More voltage was asked for than the supply has.",
-        ("too high a speed for this supply", "the current loop swings"),
-        ("lower `limits.motor_speed`", "lower the bandwidth of its current control"),
+        "The supply's voltage was too low to drive the current that was asked for.",
+        (
+            "too high a speed for this supply",
+            "in a calibration: `resistance_calib_max_voltage` above half of the supply",
+        ),
+        ("lower `limits.motor_speed`", "lower `resistance_calib_max_voltage`"),
     ),
     "CURRENT_SENSE_SATURATION": Words(
         "The current was beyond what the board measures.",
-        ("`requested_current_range` too small", "a shorted phase"),
-        ("raise it", "measure the phases"),
+        ("`current_lim` is above `requested_current_range`", "a shorted phase"),
+        ("raise the range, save and restart", "measure the phases"),
     ),
     "MODULATION_IS_NAN": Words("A number within it is not finite.", ("a wrong setting",), (_REBOOT, _TOOL)),
     "MOTOR_THERMISTOR_OVER_TEMP": Words(
@@ -161,20 +180,20 @@ ODRIVE: Final[dict[str, Words]] = {
     ),
     "TIMER_UPDATE_MISSED": Words("Its processor missed a deadline.", ("a fault of the firmware",), (_REBOOT,)),
     "CURRENT_MEASUREMENT_UNAVAILABLE": Words(
-        "It cannot measure the current.", ("a damaged board",), (_REBOOT, "another board")
+        "A current was not measured in time.", ("a fault of the firmware", "a damaged board"), (_REBOOT,)
     ),
     "I_BUS_OUT_OF_RANGE": Words(
-        "The current of the supply is beyond its limits.",
-        ("`dc_max_positive_current` or `dc_max_negative_current` too small",),
-        ("adapt them to supply and brake resistor",),
+        "The current that this motor draws from the supply, or feeds back, is beyond its own limits.",
+        ("`I_bus_hard_min` or `I_bus_hard_max` of the motor too close to 0",),
+        ("set them wider, or leave them infinite",),
     ),
-    "BAD_TIMING": Words("Its processor missed a deadline.", ("a fault of the firmware",), (_REBOOT,)),
+    "BAD_TIMING": Words("Its loops got out of step.", ("its main loop was stuck",), (_REBOOT,)),
     "UNKNOWN_PHASE_ESTIMATE": Words(
         "The angle of the rotor is not known.", ("encoder unplugged or its index not found",), (_CALIBRATE,)
     ),
     "UNKNOWN_PHASE_VEL": Words("The speed of the rotor is not known.", ("encoder unplugged",), (_CALIBRATE,)),
     "UNKNOWN_TORQUE": Words("No torque was there to control with.", ("an error before this one",), (_TOOL,)),
-    "UNKNOWN_CURRENT_COMMAND": Words("No current was there to control with.", ("an error before this one",), (_TOOL,)),
+    "UNKNOWN_CURRENT_COMMAND": Words("No current was there to control with.", ("its settings",), (_TOOL,)),
     "UNKNOWN_CURRENT_MEASUREMENT": Words("The current is not known.", ("an error before this one",), (_TOOL,)),
     "UNKNOWN_VBUS_VOLTAGE": Words("The supply voltage is not known.", ("an error before this one",), (_TOOL,)),
     "UNKNOWN_VOLTAGE_COMMAND": Words("No voltage was there to control with.", ("an error before this one",), (_TOOL,)),
@@ -189,8 +208,11 @@ ODRIVE: Final[dict[str, Words]] = {
     ),
     "CPR_POLEPAIRS_MISMATCH": Words(
         "The counts of the encoder and the poles of the motor do not fit.",
-        ("`cpr` or `pole_pairs` is wrong", "the wheel was blocked while it was calibrated", "the encoder slips"),
-        ("count the magnets: pole_pairs is half of them", _CALIBRATE),
+        (
+            *("`cpr` or `pole_pairs` is wrong", "the wheel was blocked while it was calibrated", "the encoder slips"),
+            "a motor that cogs",
+        ),
+        ("count the magnets: pole_pairs is half of them", _CALIBRATE, "raise `calib_scan_distance`, up to fourfold"),
     ),
     "NO_RESPONSE": Words(
         "The encoder does not answer, or did not move when the motor was turned.",
@@ -207,8 +229,8 @@ ODRIVE: Final[dict[str, Words]] = {
     ),
     "INDEX_NOT_FOUND_YET": Words(
         "The encoder's index was not seen since it was switched on.",
-        ("no index search at start",),
-        ("set it up to search at start",),
+        ("no index search at start", "an encoder without an index, or its wire Z is not connected"),
+        ("set it up to search at start", "look at wire Z"),
     ),
     "ABS_SPI_TIMEOUT": Words(
         "The absolute encoder does not answer.", ("its cable",), ("shorter wires, its select pin",)
@@ -229,7 +251,9 @@ ODRIVE: Final[dict[str, Words]] = {
     "INVALID_ESTIMATE": Words(
         "The encoder's estimate is not valid.", ("encoder unplugged or not calibrated",), (_CALIBRATE,)
     ),
-    "INVALID_CIRCULAR_RANGE": Words("The range of its circular positions is wrong.", ("its settings",), (_TOOL,)),
+    "INVALID_CIRCULAR_RANGE": Words(
+        "The encoder told no position within one turn.", ("encoder unplugged or not calibrated",), (_CALIBRATE,)
+    ),
     # results of procedures, 0.6
     "SUCCESS": Words("The last procedure ended well."),
     "BUSY": Words("A procedure is still under way."),

@@ -78,8 +78,9 @@ class SimulatedRobot:
     ) -> None:
         self._plant = plant_of(config.robot) if plant is None else plant
         inertias = self._plant.reflected_inertia if commissioned is None else commissioned
+        rates = {bus.name: bus.bitrate for bus in config.bus}
         self._joints = tuple(
-            _Joint(_device(motor, inertia), motor.gear_ratio * motor.direction, motor.zero)
+            _Joint(_device(motor, inertia, rates[motor.bus]), motor.gear_ratio * motor.direction, motor.zero)
             for motor, inertia in zip(config.motors_in_order(), inertias, strict=True)
         )
         self.devices = {joint.device.setup.name: joint.device for joint in self._joints}
@@ -289,7 +290,7 @@ def _sensors(sensors: Sequence[Sensor]) -> dict[str, Sender]:
     return found
 
 
-def _device(motor: Motor, inertia: float) -> SimulatedDevice:
+def _device(motor: Motor, inertia: float, bitrate: int) -> SimulatedDevice:
     """The controller as commissioned on this robot; limits and inertia moved from the output to the shaft."""
     make = CONTROLLERS.get(motor.driver)
     if make is None:
@@ -311,5 +312,6 @@ def _device(motor: Motor, inertia: float) -> SimulatedDevice:
             absolute=motor.encoder == "absolute",
             options=motor.options,
             supply=None if motor.winding is None else motor.winding.voltage,
+            bitrate=bitrate,
         )
     )

@@ -6,6 +6,7 @@ from struct import pack, unpack
 import pytest
 
 from drivers.contract import CanFrame, MotorState
+from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import BRAKE, COAST
 from tests.drivers.odrive_stand import (
     ARM,
@@ -28,7 +29,17 @@ from tests.drivers.odrive_stand import (
     story,
     times,
 )
-from tests.drivers.rig import MS, can_frame, can_text, odrive_setpoints
+from tests.drivers.rig import (
+    BUS,
+    MS,
+    ODRIVE_OPTIONS,
+    Bench,
+    FakeOdrive,
+    can_frame,
+    can_text,
+    odrive_setpoints,
+    watched,
+)
 
 
 def test_bringup_of_06_with_watchdog() -> None:
@@ -159,6 +170,46 @@ def test_endpoints_of_another_firmware_are_never_written(firmware: tuple[int, in
     code, words = fault(stand)
     assert code == "watchdog_unverified"
     assert text in words
+
+
+def stand_with(**options: str | int) -> tuple[Bench, FakeOdrive]:
+    """The device has firmware 0.6.10 and hardware 4.4.58."""
+    device = FakeOdrive(3, "0.6")
+    motor = watched()._replace(options={**ODRIVE_OPTIONS, **options})
+    return Bench(OdriveDriver(BUS, [motor]), [device]), device
+
+
+def test_endpoints_that_were_read_for_this_firmware_and_hardware_are_written() -> None:
+    stand, device = stand_with(endpoints_of="0.6.10 4.4.58")
+    stand.run(VELOCITY, ms=500)
+    assert only(stand).state is MotorState.OPERATIONAL
+    assert device.endpoints == {188: pack("<I", 1), 189: pack("<f", 0.1)}
+
+
+def test_endpoints_of_another_hardware_are_never_written() -> None:
+    stand, _ = stand_with(endpoints_of="0.6.10 5.2.0")
+    stand.run(VELOCITY, ms=2000)
+    assert story(stand) == [VERSION]
+    assert fault(stand) == (
+        "watchdog_unverified",
+        "hardware 4.4.58, but the watchdog endpoints are those of 5.2.0: not written",
+    )
+
+
+def test_endpoints_do_not_go_to_another_firmware_by_an_edit_of_its_version() -> None:
+    with pytest.raises(ValueError, match=r"188 and 189 were read for firmware 0.6.10, and options.firmware is 0.6.8"):
+        stand_with(firmware="0.6.8", endpoints_of="0.6.10 4.4.58")
+
+
+@pytest.mark.parametrize("proof", ["", "0.6.10", "0.6.10 4.4", "4.4.58 0.6", "0.6.10 4.4.58 188", 610])
+def test_what_endpoints_were_read_for_is_two_versions(proof: str | int) -> None:
+    with pytest.raises(ValueError, match=r"options.endpoints_of = .*: must be firmware and hardware"):
+        stand_with(endpoints_of=proof)
+
+
+def test_both_endpoints_cannot_be_the_same() -> None:
+    with pytest.raises(ValueError, match=r"options.watchdog_timeout_endpoint = 188: must be another one"):
+        stand_with(watchdog_timeout_endpoint=188)
 
 
 def test_without_watchdog_any_06_will_do_but_no_other() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from drivers.contract import CanFrame, OptionValue
 from replay.sim.controllers.contract import STEP_NS, STEP_S, MotorSetup, Shaft
 from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.odrive_tables import AxisState
 
 MILLISECOND = 1_000_000
@@ -205,3 +206,48 @@ def test_05_tells_zero_until_its_first_closed_loop_and_then_what_it_knew_all_alo
     bench.device.power_cycle()
     bench.run(5)
     assert bench.send(0x09, remote=True)[0].data == bytes(8)
+
+
+def test_other_rates_are_those_of_the_parameters() -> None:
+    bench = Bench()
+    numbers = bench.device.axis.parameters.numbers
+    for name, ms in (("encoder", 20), ("heartbeat", 0), ("torques", 50)):
+        bench.send(0x04, pack("<BHBI", 1, numbers[f"axis0.config.can.{name}_msg_rate_ms"], 0, ms))
+    bench.frames.clear()
+    bench.run(1000)
+    told = [frame.id & 0x1F for frame in bench.frames]
+    assert [told.count(command) for command in (0x09, 0x01, 0x1C)] == [50, 0, 20]
+
+
+def test_another_bit_rate_acts_from_the_next_start_on() -> None:
+    bench = Bench()
+    bench.device.setup = bench.device.setup._replace(bitrate=250_000)
+    number = bench.device.axis.parameters.numbers["can.config.baud_rate"]
+    bench.send(0x04, pack("<BHBI", 1, number, 0, 1_000_000))
+    assert bench.send(0x04, pack("<BHB", 0, number, 0))[0].data[4:] == pack("<I", 1_000_000)
+    bench.send(0x16, b"\x01")
+    bench.run(600)
+    assert bench.send(0x04, pack("<BHB", 0, number, 0)) == []
+
+
+def test_what_is_not_calibrated_is_not_armed_until_it_is() -> None:
+    bench = Bench()
+    bench.device.axis.parameters.put(dict.fromkeys(CALIBRATED, 0.0))
+    bench.arm()
+    assert (bench.state(), bench.device.axis.result) == (1, 14)
+    bench.send(0x07, pack("<I", 3))
+    bench.run(250)
+    assert (bench.state(), bench.shaft.velocity > 0.0) == (3, True)
+    bench.run(1000)
+    assert (bench.state(), bench.device.axis.result) == (1, 0)
+    bench.arm()
+    assert bench.state() == 8
+
+
+def test_the_vendors_file_of_it() -> None:
+    found = Bench().device.flat_endpoints()
+    assert (found["fw_version"], found["hw_version"]) == ("0.6.10", "5.2.0")
+    endpoints = found["endpoints"]
+    assert isinstance(endpoints, dict)
+    assert endpoints["axis0.config.enable_watchdog"]["type"] == "bool"
+    assert len({one["id"] for one in endpoints.values()}) == len(endpoints)

@@ -108,6 +108,8 @@ def test_saved_parameters_survive_a_power_cycle_until_erased() -> None:
     bench.device.power_cycle()
     assert bench.send(0x04, pack("<BHB", 0, ENABLE, 0))[0].data[4] == 1
     bench.send(0x16, b"\x02")
+    assert bench.send(0x04, pack("<BHB", 0, ENABLE, 0)) == []
+    bench.run(500)
     assert bench.send(0x04, pack("<BHB", 0, ENABLE, 0))[0].data[4] == 0
 
 

@@ -30,6 +30,7 @@ class MotorSetup(NamedTuple):
     absolute: bool = False  # the encoder knows the shaft's angle (all turns) also after a power cut
     options: Mapping[str, OptionValue] = MappingProxyType({})  # those of its driver
     supply: float | None = None  # V, where the robot file tells it
+    bitrate: int | None = None  # bit/s of the bus that it is on; None: whatever it is set to
 
 
 class Shaft(NamedTuple):

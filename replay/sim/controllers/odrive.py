@@ -2,8 +2,9 @@
 
 Parameters and node ids written over CAN live in RAM: a power cycle forgets them unless they were saved (Reboot 1).
 That is the device's behaviour and the driver's worst case. 0.5 has no Sdo: its watchdog counts as set over USB and
-saved, and is enabled when the robot file gives one. Assumed: no reply to an Sdo write, none to a read of an unknown
-endpoint, and nothing cyclic from one that has no node id.
+saved, and is enabled when the robot file gives one. A write is confirmed by a TxSdo from 0.6.11 on (github odriverobotics/
+ODriveResources, examples/can_param_access.py). Assumed: no reply to a read of an unknown endpoint; another rate of a
+cyclic message acts at once, another bit rate from the next start on; nothing cyclic from one that has no node id.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,8 +14,25 @@ from drivers.contract import CanFrame
 from replay.sim.controllers import odrive_tables as wire
 from replay.sim.controllers.contract import Clock, Emission, MotorSetup, Shaft
 from replay.sim.controllers.odrive_axis import OdriveAxis
+from replay.sim.controllers.odrive_parameters import (
+    BAUD_RATE,
+    BUS_VOLTAGE_MS,
+    ENCODER_MS,
+    HEARTBEAT_MS,
+    TEMPERATURE_MS,
+    TORQUES_MS,
+)
 from replay.sim.controllers.odrive_tables import Command
 
+BOOT_NS = 500_000_000  # after a Reboot; source: ours
+CONFIRMS_FROM = (0, 6, 11)
+_RATES = {
+    Command.HEARTBEAT: HEARTBEAT_MS,
+    Command.GET_ENCODER_ESTIMATES: ENCODER_MS,
+    Command.GET_TORQUES_06: TORQUES_MS,
+    Command.GET_TEMPERATURE_06: TEMPERATURE_MS,
+    Command.GET_BUS_VOLTAGE_CURRENT: BUS_VOLTAGE_MS,
+}
 _Handler = tuple[int, Callable[[bytes], None]]  # least payload, what to do
 
 
@@ -33,11 +51,19 @@ class SimulatedODrive:
         self.plugged = True
         self.powered = True
         self._firmware = wire.FIRMWARES[setup.variant]
-        self.axis = OdriveAxis(setup, self._firmware)
+        told = str(setup.options.get("endpoints_of", ""))
+        firmware, hardware = told.split() if told else (setup.options.get("firmware"), None)
+        self._version = _three(str(firmware or wire.DEFAULT_FIRMWARE))
+        self._hardware = _three(hardware or wire.DEFAULT_HARDWARE)
         own_cyclic = ((Command.HEARTBEAT, wire.HEARTBEAT_HZ), (Command.GET_ENCODER_ESTIMATES, setup.feedback_rate))
-        self._clocks = tuple(
-            (command, Clock(hz, setup.id)) for command, hz in (*own_cyclic, *self._firmware.slow_cyclic)
-        )
+        cyclic = (*own_cyclic, *self._firmware.slow_cyclic)
+        self._clocks = tuple((command, Clock(hz, setup.id)) for command, hz in cyclic)
+        self._rates_ms = {_RATES[command]: 1e3 / hz for command, hz in cyclic if command in _RATES and hz is not None}
+        self.axis = OdriveAxis(setup, self._firmware, self._rates_ms)
+        self.answers_sdo = True
+        self._baud_rate = self.axis.parameters[BAUD_RATE]
+        self._booted_ns = 0
+        self._now_ns = 0
         self._next_due_ns = 0
         self._handlers = self._handler_table()
         self._reports = self._report_table() | (self._reports_05() if self._firmware.legacy else self._reports_06())
@@ -45,10 +71,12 @@ class SimulatedODrive:
 
     @property
     def acknowledges(self) -> bool:
-        return self.plugged and self.powered
+        here = self.setup.bitrate in (None, self._baud_rate) and self._now_ns >= self._booted_ns
+        return self.plugged and self.powered and here
 
     def start(self, shaft: Shaft, now_ns: int) -> None:
         """Power on in IDLE; the reading starts at the given shaft angle."""
+        self._now_ns = now_ns
         self.axis.place(shaft, now_ns)
         for _, clock in self._clocks:
             clock.start(now_ns)
@@ -56,6 +84,7 @@ class SimulatedODrive:
 
     def receive(self, frame: CanFrame, now_ns: int) -> Sequence[Emission]:
         """Take a frame to our node; a request is answered at once."""
+        self._now_ns = now_ns
         node, command = frame.id >> wire.NODE_SHIFT, frame.id & wire.COMMAND_MASK
         if frame.extended or node not in (self.node, wire.BROADCAST_NODE) or not self.acknowledges:
             return ()
@@ -74,6 +103,7 @@ class SimulatedODrive:
 
     def poll(self, now_ns: int) -> Sequence[Emission]:
         """Cyclic frames due by now."""
+        self._now_ns = now_ns
         if now_ns < self._next_due_ns:
             return ()
         emissions = []
@@ -81,7 +111,7 @@ class SimulatedODrive:
             while clock.due_ns <= now_ns:
                 emissions.append(self._emission(command, self._reports[command](), clock.due_ns))
                 clock.due_ns += clock.period_ns
-        self._next_due_ns = min(clock.due_ns for _, clock in self._clocks)
+        self._next_due_ns = min((clock.due_ns for _, clock in self._clocks), default=now_ns + BOOT_NS)
         return sorted(emissions) if self.acknowledges and self.node != wire.BROADCAST_NODE else ()
 
     def step(self, shaft: Shaft, now_ns: int) -> float:
@@ -110,7 +140,10 @@ class SimulatedODrive:
         """Boot: IDLE, no errors, position 0 unless the encoder is absolute, saved parameters only."""
         self.powered = True
         self.node = self._kept_node
+        self._booted_ns = 0
         self.axis.reboot()
+        self._baud_rate = self.axis.parameters[BAUD_RATE]
+        self._follow_rates()
 
     def power_cycle(self) -> None:
         self.power_off()
@@ -177,6 +210,7 @@ class SimulatedODrive:
         if action == 2:
             self.axis.parameters.erase()
         self.power_cycle()
+        self._booted_ns = self._now_ns + BOOT_NS
 
     def _take_address(self, data: bytes) -> None:
         """A node id for us, or for another one, which ours is then no more."""
@@ -186,13 +220,35 @@ class SimulatedODrive:
             self.node = wire.BROADCAST_NODE
 
     def _sdo(self, data: bytes) -> None:
+        if not self.answers_sdo:
+            return
         opcode, endpoint, _ = wire.SDO.unpack_from(data)
         if opcode == wire.SDO_WRITE:
             self.axis.parameters.write(endpoint, data[wire.SDO.size :])
-            return
+            self._follow_rates()
+            if self._version < CONFIRMS_FROM:
+                return
         value = self.axis.parameters.read(endpoint)
         if value is not None:
             self._sdo_reply = wire.SDO_REPLY.pack(endpoint, value)
+
+    def flat_endpoints(self) -> dict[str, object]:
+        """What the vendor's file of this firmware and hardware says."""
+        versions = {"fw_version": self._version, "hw_version": self._hardware}
+        told = {key: ".".join(map(str, version)) for key, version in versions.items()}
+        return told | {"endpoints": self.axis.parameters.document()}
+
+    def _follow_rates(self) -> None:
+        """Cyclic messages whose parameter has changed begin anew; 0 ms: none."""
+        parameters = self.axis.parameters
+        if self._firmware.legacy or all(parameters[name] == ms for name, ms in self._rates_ms.items()):
+            return
+        self._rates_ms = {name: parameters[name] for name in _RATES.values()}
+        rates = {command: self._rates_ms[name] for command, name in _RATES.items()}
+        self._clocks = tuple((command, Clock(1e3 / ms, self.setup.id)) for command, ms in rates.items() if ms > 0.0)
+        for _, clock in self._clocks:
+            clock.start(self._now_ns)
+        self._next_due_ns = self._now_ns
 
     # -- device to host ----------------------------------------------------------------------------------------------
 
@@ -206,8 +262,7 @@ class SimulatedODrive:
 
     def _reports_06(self) -> dict[int, Callable[[], bytes]]:
         axis, floats = self.axis, wire.TWO_FLOATS.pack
-        firmware = str(self.setup.options.get("firmware", wire.DEFAULT_FIRMWARE))
-        version = wire.VERSION.pack(*wire.PROTOCOL_AND_HARDWARE, *map(int, firmware.split(".")), 0)
+        version = wire.VERSION.pack(wire.PROTOCOL, *self._hardware, *self._version, 0)
         return {
             Command.GET_VERSION: lambda: version,
             Command.ADDRESS_06: lambda: bytes([self.node]) + self.serial.to_bytes(wire.SERIAL_BYTES, "little"),
@@ -232,6 +287,11 @@ class SimulatedODrive:
         controller = wire.TRAJECTORY_DONE_05 | (axis.controller_error != 0)
         flags = (axis.motor_error != 0, axis.encoder_error != 0, controller)
         return wire.HEARTBEAT.pack(axis.errors, axis.state, *flags)
+
+
+def _three(version: str) -> tuple[int, int, int]:
+    major, minor, revision = map(int, version.split("."))
+    return major, minor, revision
 
 
 def _ignore(_data: bytes) -> None:

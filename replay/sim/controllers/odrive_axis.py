@@ -3,32 +3,43 @@
 How this works
 --------------
 Requests are stored and carried out in `step`. An error disarms, which is a coast, and stays until `clear_errors`;
-while there is one, closed loop is refused. The watchdog differs: 0.5 is fed by any frame to the node and expires in
-IDLE too; 0.6 is fed by setpoints and counts from arming. A power cycle forgets everything that was not saved and,
-unless the encoder is absolute, the position. 0.5 tells estimates of exactly zero from power-on until it was first in
-closed loop, whatever the encoder reads.
+while there is one, closed loop is refused. A full calibration (0.6) turns the motor slowly there and back, and marks it
+as calibrated; without that closed loop is refused too. The watchdog differs: 0.5 is fed by any frame to the node and
+expires in IDLE too; 0.6 is fed by setpoints and counts from arming. A power cycle forgets everything that was not saved
+and, unless the encoder is absolute, the position. 0.5 tells estimates of exactly zero from power-on until it was first
+in closed loop, whatever the encoder reads.
 """
 
+from collections.abc import Mapping
 from math import pi
 
 from replay.sim.controllers.contract import SECOND_NS, MotorSetup, Shaft
 from replay.sim.controllers.odrive_control import ControllerError, OdriveController
-from replay.sim.controllers.odrive_parameters import Parameters
+from replay.sim.controllers.odrive_parameters import CALIBRATED, Parameters
 from replay.sim.controllers.odrive_tables import AxisState, Firmware, ProcedureResult
 
 _TURN = 2.0 * pi
+CALIBRATION_S = 1.0  # the device takes longer; source: ours
+CALIBRATION_SPEED = 1.0  # turns/s; source: ours
 
 
 class OdriveAxis:
     """State owner; `encoder_frozen`, `phase_connected` and `condition` are fault switches."""
 
-    def __init__(self, setup: MotorSetup, firmware: Firmware) -> None:
+    def __init__(self, setup: MotorSetup, firmware: Firmware, rates_ms: Mapping[str, float]) -> None:
         self.control = OdriveController(setup)
-        self.parameters = Parameters(setup, over_usb=firmware.watchdog_over_usb)
+        self.parameters = Parameters(setup, over_usb=firmware.watchdog_over_usb, rates_ms=rates_ms)
         self.encoder_frozen = False  # position stuck, velocity 0: the velocity loop winds up to full torque
         self.encoder_shift = 0.0  # rad that the encoder tells too much
         self.phase_connected = True  # False: no torque, and the state drops with error 0 (ODrive issue 700)
         self.condition = 0  # error bits whose cause persists: they return after Clear_Errors
+        self.calibration_speed = CALIBRATION_SPEED  # turns/s of the rotor
+        self._calibrating_from_ns = 0
+        self._laws = {
+            AxisState.IDLE: _no_torque,
+            AxisState.FULL_CALIBRATION: self._calibration_law,
+            AxisState.CLOSED_LOOP: self._control_law,
+        }
         self._firmware = firmware
         self._absolute = setup.absolute
         self._now_ns = 0
@@ -113,7 +124,7 @@ class OdriveAxis:
             self._check_watchdog()
         if self._requested is not None:
             self._enter(self._requested)
-        self.torque = self._control_law() if self.state is AxisState.CLOSED_LOOP else 0.0
+        self.torque = self._laws[self.state]()
         return self.torque
 
     def _origin_here(self) -> float:
@@ -129,7 +140,14 @@ class OdriveAxis:
         if requested == AxisState.CLOSED_LOOP:
             self._arm()
             return
+        if requested == AxisState.FULL_CALIBRATION and not self._firmware.legacy and not self.errors:
+            self.state, self.result = AxisState.FULL_CALIBRATION, ProcedureResult.BUSY
+            self._calibrating_from_ns = self._now_ns
+            return
         known = requested == AxisState.IDLE
+        if self.state is AxisState.FULL_CALIBRATION:
+            self.state, self.result = AxisState.IDLE, ProcedureResult.CANCELLED
+            return
         self.state = AxisState.IDLE
         self.result = ProcedureResult.SUCCESS if known else ProcedureResult.INVALID_STATE
         if not known:
@@ -139,6 +157,8 @@ class OdriveAxis:
         self.errors &= ~self._firmware.invalid_state_error  # the next request clears it, as in the firmware
         if self.errors:
             self._disarm()
+        elif not self._firmware.legacy and not all(self.parameters[name] for name in CALIBRATED):
+            self.state, self.result = AxisState.IDLE, ProcedureResult.NOT_CALIBRATED
         elif self.state is not AxisState.CLOSED_LOOP:
             self.state = AxisState.CLOSED_LOOP
             self.result = ProcedureResult.BUSY
@@ -151,6 +171,19 @@ class OdriveAxis:
         self.result = ProcedureResult.DISARMED
         self.torque = 0.0
 
+    def _calibration_law(self) -> float:
+        """Slowly forward, then back; then IDLE."""
+        gone = (self._now_ns - self._calibrating_from_ns) / SECOND_NS
+        if not self.phase_connected:
+            self.state, self.result = AxisState.IDLE, ProcedureResult.PHASE_RESISTANCE_OUT_OF_RANGE
+            return 0.0
+        if gone >= CALIBRATION_S:
+            self.state, self.result = AxisState.IDLE, ProcedureResult.SUCCESS
+            self.parameters.put(dict.fromkeys(CALIBRATED, 1.0))
+            return 0.0
+        wanted = self.calibration_speed if gone < CALIBRATION_S / 2.0 else -self.calibration_speed
+        return self.control.towards(wanted, self.turns_per_second)
+
     def _control_law(self) -> float:
         if not self.phase_connected:
             self._disarm()
@@ -160,3 +193,7 @@ class OdriveAxis:
             self.controller_error |= error
             self.fail(self._firmware.controller_errors[error])
         return torque
+
+
+def _no_torque() -> float:
+    return 0.0

@@ -42,6 +42,7 @@ WINDUP_DECAY = 0.99**8  # per 1 ms, firmware default 0.99 per 125 us
 # Commissioned on the robot, not defaults (the firmware's 1 turn/s^2 ramp and 1/6 N m s gain fit no robot):
 VELOCITY_BANDWIDTH = 60.0  # rad/s of the closed velocity loop; source: ours
 INTEGRATOR_RATE = 10.0  # 1/s; source: ours
+CALIBRATION_SHARE = 0.2  # of the torque; source: ours
 RAMP_TIME = 0.1  # s to full speed, and to full torque, in the ramp modes; source: ours
 
 
@@ -89,6 +90,10 @@ class OdriveController:
         if self.control_mode < ControlMode.VELOCITY:
             return self._torque_control(velocity, limit), ControllerError.NONE
         return self._velocity_control(position, velocity, limit), ControllerError.NONE
+
+    def towards(self, velocity: float, measured: float) -> float:
+        """A gentle torque towards so many turns/s, as a calibration has it."""
+        return _clamp(self._velocity_gain * (velocity - measured), CALIBRATION_SHARE * self._max_torque)
 
     def _take_inputs(self) -> bool:
         """Move the setpoints towards the inputs; False: an input mode the controller does not know."""

@@ -27,21 +27,26 @@ SDO_WRITE = 1
 SDO_REPLY = Struct("<xHx4s")  # endpoint, value
 SERIAL_BYTES = 6  # of Address, after the node id
 
-PROTOCOL_AND_HARDWARE = (2, 5, 2, 0)
+PROTOCOL = 2
+DEFAULT_HARDWARE = "5.2.0"  # S1
 DEFAULT_FIRMWARE = "0.6.10"
 TRAJECTORY_DONE_05 = 0x80
 
 
 class AxisState(IntEnum):
     IDLE = 1
+    FULL_CALIBRATION = 3
     CLOSED_LOOP = 8
 
 
 class ProcedureResult(IntEnum):
     SUCCESS = 0
     BUSY = 1
+    CANCELLED = 2
     DISARMED = 3
+    PHASE_RESISTANCE_OUT_OF_RANGE = 6
     INVALID_STATE = 13
+    NOT_CALIBRATED = 14
 
 
 class Command(IntEnum):

@@ -1,0 +1,303 @@
+"""What `drivegate setup prepare` does on the buses and to the robot file; what is right is decided in gateway/setup."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from drivers.contract import CanFrame
+from drivers.odrive import tables
+from drivers.odrive.endpoints import FlatEndpoints, Value, version_request
+from gateway.cli.asking import NotAllowedError, allow
+from gateway.cli.output import complain, errors
+from gateway.cli.rewriting import keep, rewrite
+from gateway.cli.setup_jog import warning
+from gateway.config import Bus, Motor, RobotConfig, load
+from gateway.edges.can_bus import CanBuses
+from gateway.edges.claims import Claims, refuse_where_commanded
+from gateway.edges.listening import Place, listen
+from gateway.edges.signals import EndRequest
+from gateway.edges.turning import turn
+from gateway.setup import prepare_odrive
+from gateway.setup.calibrating import Calibration, Outcome
+from gateway.setup.census import Census
+from gateway.setup.correction import difference, with_options
+from gateway.setup.preparation import Ear, Line, Verdict, wrong
+from gateway.setup.prepare_kinds import KINDS
+from gateway.setup.prepare_odrive import BAUD_RATE, CALIBRATED, Setting
+from gateway.setup.restart import PATIENCE_S, Restart
+from gateway.setup.sdo import Exchange, Job
+
+ASKED_AT: Final = (0.4, 0.6, 0.8)  # of the time: a frame may be lost
+EXCHANGE_S: Final = 60.0
+LEAVE_S: Final = 0.1  # for the frame that has one restart
+PERIOD_NS: Final = 10_000_000
+
+
+class PrepareError(RuntimeError):
+    """Why nothing, or nothing more, is set."""
+
+
+@contextmanager
+def to_ourselves(motors: Sequence[Motor], config: RobotConfig) -> Iterator[None]:
+    """Nobody commands the buses of these motors, and no gateway begins to. Raises InUseError."""
+    used = [bus for bus in config.bus if any(motor.bus == bus.name for motor in motors)]
+    for bus in used:
+        refuse_where_commanded(bus.interface, bus.channel)
+    claims: list[Claims] = []
+    try:
+        for bus in used:
+            mine = [one.id for one in motors if one.bus == bus.name and _is_06(one)]
+            ids = [at << tables.NODE_SHIFT | tables.SET_AXIS_STATE for at in mine]
+            claims.append(Claims(bus.interface, bus.channel, ids))
+        yield
+    finally:
+        for claim in claims:
+            claim.release()
+
+
+class Preparing:
+    """Everything that was found of these motors, and what is done about it."""
+
+    def __init__(
+        self, config: RobotConfig, motors: Sequence[Motor], flats: dict[str, FlatEndpoints], seconds: float
+    ) -> None:
+        self.config = config
+        self.motors = motors
+        self.lines: list[Line] = []
+        self.changed: list[str] = []  # "motor: path = value"
+        self._flats = flats
+        self._seconds = seconds
+        self._buses = {bus.name: bus for bus in config.bus}
+        self._forget()
+
+    def _forget(self) -> None:
+        self.lines = []
+        self._fits: dict[str, FlatEndpoints] = {}  # by motor
+        self._to_set: dict[str, list[Setting]] = {}
+        self._idle: set[str] = set()
+
+    # -- looking ------------------------------------------------------------------------------------------------------
+
+    def look(self) -> None:
+        """Listen, then read. Raises AdapterError, PrepareError."""
+        self._forget()
+        for bus in self._buses.values():
+            mine = [motor for motor in self.motors if motor.bus == bus.name]
+            ear = self._listened(bus, mine) if mine else Ear()
+            for motor in mine:
+                self.lines += KINDS[motor.driver].heard_lines(ear, motor, bus)
+                if _is_06(motor):
+                    self.lines += self._read(bus, motor, ear)
+
+    def by_hand(self) -> dict[str, list[str]]:
+        """By motor, what to set with the vendor's tool."""
+        steps = {motor.name: KINDS[motor.driver].by_hand(motor, self._buses[motor.bus]) for motor in self.motors}
+        return {name: told for name, told in steps.items() if told}
+
+    def _listened(self, bus: Bus, motors: Sequence[Motor]) -> Ear:
+        ear, census = Ear(), Census()
+
+        def take(frame: CanFrame) -> None:
+            ear.take(frame)
+            census.take([frame])
+
+        ask = _Asker([version_request(motor.id) for motor in motors if _is_06(motor)], self._seconds)
+        listen(_place(bus), self._seconds, take, questions=ask)
+        known = [(motor.driver, motor.variant, motor.id) for motor in self.config.motor if motor.bus == bus.name]
+        conflicts = census.report(self._seconds, known).conflicts
+        if conflicts:
+            raise PrepareError(f"{bus.name}: {'; '.join(conflicts)}: nothing was asked and nothing is set")
+        return ear
+
+    def _read(self, bus: Bus, motor: Motor, ear: Ear) -> list[Line]:
+        """The settings of an ODrive 0.6."""
+        if prepare_odrive.idle(ear, motor):
+            self._idle.add(motor.name)
+        flat, line = prepare_odrive.chosen(motor, prepare_odrive.versions(ear, motor), self._flats)
+        if flat is None:
+            unread = [] if self._flats else [prepare_odrive.unread_line(motor)]
+            return [line, *unread, prepare_odrive.file_line(motor, None)]
+        self._fits[motor.name] = flat
+        wanted = [*prepare_odrive.settings(self.config, motor), prepare_odrive.bit_rate(bus)]
+        done = self._exchanged(motor, prepare_odrive.jobs(flat, wanted))
+        self._to_set[motor.name] = [] if done.silent else prepare_odrive.to_set(wanted, done.values)
+        lines = prepare_odrive.setting_lines(motor, flat, wanted, done.values, done.silent)
+        return [line, *lines, prepare_odrive.file_line(motor, flat)]
+
+    def _exchanged(self, motor: Motor, jobs: Sequence[Job]) -> Exchange:
+        exchange = Exchange(motor.id, jobs)
+        listen(
+            *(self._place(motor), EXCHANGE_S, exchange.take),
+            going_on=lambda: not exchange.finished,
+            questions=exchange.questions,
+        )
+        return exchange
+
+    def _place(self, motor: Motor) -> Place:
+        return _place(self._buses[motor.bus])
+
+    # -- setting ------------------------------------------------------------------------------------------------------
+
+    def set(self, *, yes: bool) -> None:
+        """What a person lets happen; then all is looked at anew. Raises AdapterError, PrepareError."""
+        plans = [(motor, plan) for motor in self.motors if (plan := self._to_set.get(motor.name))]
+        if not plans:
+            return
+        busy = [motor.name for motor, _ in plans if motor.name not in self._idle]
+        if busy:
+            raise PrepareError(f"{', '.join(busy)}: not idle, or nobody hears it: nothing is set")
+        moved = [(motor, one) for motor, plan in plans for one in plan if one.path == BAUD_RATE]
+        alone = {one.bus for one in self.config.motor if one not in self.motors} & {motor.bus for motor, _ in moved}
+        if alone:
+            raise PrepareError(f"{', '.join(alone)}: another bit rate goes to all of its motors at once: name none")
+        todo = [f"  {motor.name}: {_said(one)}" for motor, plan in plans for one in plan]
+        text = "\n".join(["This will be written, read back, and saved; each controller then restarts:", *todo])
+        if not _allowed(text, "to write it", yes=yes):
+            return
+        for motor, plan in plans:
+            here = [one for one in plan if one.path != BAUD_RATE]
+            if here:
+                self._put(motor, here)
+                self._save(motor)
+        if moved:
+            self._other_bit_rate(moved)
+        else:
+            self.look()
+
+    def _put(self, motor: Motor, plan: Sequence[Setting]) -> None:
+        """Raises PrepareError where one reads back otherwise."""
+        done = self._exchanged(motor, prepare_odrive.jobs(self._fits[motor.name], plan, write=True))
+        for one in plan:
+            read: Value | None = done.values.get(one.path)
+            if read is None or not one.accepts(read):
+                found = "is not answered" if read is None else f"reads back {prepare_odrive.words(read)}"
+                raise PrepareError(
+                    f"{motor.name}: {_said(one)} {found}: nothing is saved, "
+                    "switching it off and on brings back what it had"
+                )
+            self.changed.append(f"{motor.name}: {_said(one)}")
+
+    def _save(self, motor: Motor) -> None:
+        """Raises PrepareError where it does not come back."""
+        errors.print(f"{motor.name} saves its settings and restarts", highlight=False, markup=False)
+        restart = Restart(motor.id)
+        listen(
+            *(self._place(motor), PATIENCE_S, restart.take),
+            going_on=lambda: not restart.finished,
+            questions=restart.questions,
+        )
+        if not restart.finished:
+            raise PrepareError(f"{motor.name}: was not seen to restart within {PATIENCE_S:g} s: is it saved?")
+
+    def _other_bit_rate(self, moved: Sequence[tuple[Motor, Setting]]) -> None:
+        """To all before any of them restarts: from then on they hear neither each other nor us."""
+        for motor, one in moved:
+            self._put(motor, [one])
+        for motor, _ in moved:
+            restart = Restart(motor.id)
+            listen(self._place(motor), LEAVE_S, restart.take, questions=restart.questions)
+        for bus in {motor.bus: self._buses[motor.bus] for motor, _ in moved}.values():
+            complain(
+                f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: set {bus.channel} so, run it again"
+            )
+        names = {motor.name for motor, _ in moved}
+        self.lines = [
+            line._replace(verdict=Verdict.UNKNOWN, todo="set the link to it, and run it again")
+            if line.motor in names and line.todo == prepare_odrive.A_YES
+            else line
+            for line in self.lines
+        ]
+
+    # -- calibrating --------------------------------------------------------------------------------------------------
+
+    def calibrate(self, *, yes: bool) -> None:
+        """Those that are not, if a person lets it happen. Raises PrepareError where one does not end well."""
+        names = {line.motor for line in wrong(self.lines) if line.what in CALIBRATED}
+        motors = [motor for motor in self.motors if motor.name in names]
+        told = ", ".join(motor.name for motor in motors)
+        what = f"{warning(self.config, *names)} Each turns by itself, a turn or so there and back: {told}."
+        if not motors or not _allowed(what, "to calibrate them", yes=yes):
+            return
+        for motor in motors:
+            errors.print(f"{motor.name} calibrates itself now.", highlight=False, markup=False)
+            outcome = self._turned(motor)
+            if not outcome.ok:
+                held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
+                raise PrepareError(f"{motor.name}: not calibrated: {outcome.reason}{held}")
+            with to_ourselves([motor], self.config):
+                self._save(motor)
+        with to_ourselves(self.motors, self.config):
+            self.look()
+
+    def _turned(self, motor: Motor) -> Outcome:
+        """One calibration, with the bus to itself. Raises InUseError."""
+        bus = self._buses[motor.bus]
+        refuse_where_commanded(bus.interface, bus.channel)
+        procedure, ending = Calibration(bus.name, motor.id), EndRequest()
+        buses = CanBuses(self.config.model_copy(update={"bus": [bus]}))
+        try:
+            with ending.heeded():
+                turn(buses, procedure, ending, period_ns=PERIOD_NS)
+        finally:
+            buses.close()
+        return procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
+
+    # -- the robot file -----------------------------------------------------------------------------------------------
+
+    def correct(self, file: Path, text: str, watchdog: float | None, *, yes: bool) -> Path | None:
+        """The numbers of the endpoints; the copy that is kept. Raises CorrectionError, RewriteError."""
+        options = {
+            motor.name: prepare_odrive.file_options(self._fits[motor.name])
+            for motor in self.motors
+            if motor.name in self._fits and (motor.watchdog is not None or watchdog is not None)
+        }
+        new = with_options(text, options, watchdog, str(file))
+        if new == text or not _allowed(difference(text, new, str(file)), f"to write this into {file}", yes=yes):
+            return None
+        kept = keep(file)
+        rewrite(file, new)
+        errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False, markup=False)
+        by_name = {motor.name: motor for motor in load(file)[0].motor}
+        self.lines = [
+            prepare_odrive.file_line(by_name[line.motor], self._fits.get(line.motor))
+            if line.what == prepare_odrive.IN_FILE
+            else line
+            for line in self.lines
+        ]
+        return kept
+
+
+class _Asker:
+    """The same questions a few times."""
+
+    def __init__(self, frames: Sequence[CanFrame], seconds: float) -> None:
+        self._frames = frames
+        self._due = [share * seconds for share in ASKED_AT]
+
+    def __call__(self, gone: float) -> Sequence[CanFrame]:
+        if not self._due or gone < self._due[0]:
+            return ()
+        del self._due[0]
+        return self._frames
+
+
+def _is_06(motor: Motor) -> bool:
+    return (motor.driver, motor.variant) == ("odrive", "0.6")
+
+
+def _place(bus: Bus) -> Place:
+    return Place(bus.interface, bus.channel, bus.bitrate)
+
+
+def _said(one: Setting) -> str:
+    return f"{one.path} = {prepare_odrive.words(one.wanted)}"
+
+
+def _allowed(what: str, question: str, *, yes: bool) -> bool:
+    try:
+        allow(what, question, yes=yes)
+    except NotAllowedError as error:
+        errors.print(str(error), highlight=False, markup=False)
+        return False
+    return True
