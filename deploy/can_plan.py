@@ -31,7 +31,9 @@ def main(paths: Iterable[Path]) -> int:
             lines.append(f"{path.stem} {channel} {rate}")
             other, whose = rates.setdefault(channel, (rate, path))
             if other != rate and not channel.startswith(VIRTUAL):
-                problems.append(f"{whose} and {path}: {channel} cannot have a bitrate of {words(other)} and of {words(rate)}")
+                problems.append(
+                    f"{whose} and {path}: {channel} cannot have a bitrate of {words(other)} and of {words(rate)}"
+                )
         for what in own(config):
             whose = single.setdefault(what, path)
             if whose != path:
