@@ -1,6 +1,6 @@
-"""Reads the robot files that one computer is set up for: prints "ROBOT CHANNEL BITRATE [DATA_BITRATE]" of SocketCAN buses.
+"""Reads robot files that share a computer: prints "ROBOT CHANNEL BITRATE [DATA_BITRATE]" of each SocketCAN bus.
 
-The data bit rate is that of a bus of CAN FD. What is wrong with a file, or between two, is said all at once, and exit 78.
+The data bit rate is that of a bus of CAN FD. What is wrong with a file, or between two, is said all at once (exit 78).
 install.sh runs it with the Python of an environment, whose DriveGate may be of another version.
 """
 

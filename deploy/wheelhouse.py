@@ -12,6 +12,11 @@ import venv
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+try:
+    import tomllib
+except ModuleNotFoundError:
+    sys.exit(f"Python 3.11 or newer is needed; this is {platform.python_version()}")
+
 HERE = Path(__file__).resolve().parent
 KINDS = ("robot", "client", "desk")
 # A wheel says which C library it needs at least; these are what Debian 12's (2.36) and older ones can have.
@@ -20,9 +25,6 @@ GLIBC = range(5, 37)
 
 def main() -> int:
     """Exit code."""
-    if sys.version_info < (3, 11):
-        sys.stderr.write(f"Python 3.11 or newer is needed; this is {platform.python_version()}\n")
-        return 1
     asked = _parser().parse_args()
     asked.dir.mkdir(parents=True, exist_ok=True)
     wanted = list(packages(asked.kind))
@@ -47,8 +49,6 @@ def main() -> int:
 
 def packages(kind: str) -> Iterator[str]:
     """What an installation needs: to run, to be built, and pip itself."""
-    import tomllib  # noqa: PLC0415  # an older Python is told so above
-
     told = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
     extras = told["project"]["optional-dependencies"]
     yield from told["project"]["dependencies"]

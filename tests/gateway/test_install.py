@@ -1,4 +1,4 @@
-"""What install.sh does into a directory of its own: what it refuses, writes, takes away and takes back. Nothing is brought up."""
+"""What install.sh does into a directory of its own: refuses, writes, takes away, takes back; nothing is brought up."""
 
 import os
 import shutil
