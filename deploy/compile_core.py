@@ -9,6 +9,7 @@ import shutil
 import sys
 import sysconfig
 import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,11 @@ class CoreCompiler(BuildHookInterface):  # type: ignore[type-arg]
 
     def dependencies(self) -> list[str]:
         """Packages that the build needs for it."""
-        return ["mypy[mypyc]==2.4.1", "pydantic", "setuptools>=68"] if c_compiler() else []
+        if c_compiler() is None:
+            return []
+        told = tomllib.loads((Path(self.root) / "pyproject.toml").read_text(encoding="utf-8"))
+        needed: list[str] = told["tool"]["drivegate"]["compile"]
+        return needed
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, unless this is an editable installation or it cannot be."""

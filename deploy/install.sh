@@ -1,5 +1,6 @@
 #!/bin/sh
 # Installs or upgrades DriveGate on a robot computer; see deploy/README.md. Idempotent; prints what it changes.
+# Everything is checked before anything is changed; what fails after that is taken back.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 . "$here/common.sh"
@@ -7,29 +8,42 @@ here=$(cd "$(dirname "$0")" && pwd)
 usage() {
     cat <<END
 usage: [DESTDIR=ROOT] $0 [options]
+  --for KIND         robot: drives and records, without Rerun's viewer (default: as it is, else robot);
+                     client: commands and looks on from another computer, without Rerun; desk: everything
+  --enable ROBOT     start this robot (a file ROBOT.toml in $CONFIG) now and at every boot; may be repeated
+  --disable ROBOT    start it no more, and take what was set up for it away; may be repeated
+  --can KIND         who sets up the CAN interfaces: networkd, ip, none (default: as it is, else networkd)
+  --rollback         back to the environment before the last one, and to its units
   --prefix DIR       own Python environment (default $PREFIX)
   --wheel FILE       install this wheel instead of the checkout this script lies in
-  --no-venv          PREFIX is already an environment with DriveGate (images, offline computers): only use it
-  --can KIND         who sets up the CAN interfaces: networkd (default), ip, none
-  --enable ROBOT     start this robot (a file ROBOT.toml in $CONFIG) now and at every boot; may be repeated
+  --wheelhouse DIR   take every package from here, made by wheelhouse.py, and ask no network for anything
+  --no-venv          PREFIX is already an environment with DriveGate (images): only use it
 END
 }
 
 source=$(dirname "$here")
 build=yes
-can=networkd
+rollback=no
+can=
+kind=
+wheels=
 enable=
+disable=
 while [ $# -gt 0 ]; do
     case $1 in
         --no-venv) build=no ;;
+        --rollback) rollback=yes ;;
         --help) usage && exit 0 ;;
-        --prefix | --wheel | --can | --enable)
+        --for | --prefix | --wheel | --wheelhouse | --can | --enable | --disable)
             [ $# -ge 2 ] || die "$1 needs a value"
             case $1 in
+                --for) kind=$2 ;;
                 --prefix) PREFIX=$2 ;;
-                --wheel) source=$2 ;;
+                --wheel) source=$(realpath "$2") ;;
+                --wheelhouse) wheels=$(realpath "$2") ;;
                 --can) can=$2 ;;
                 --enable) enable="$enable $2" ;;
+                --disable) disable="$disable $2" ;;
             esac
             shift
             ;;
@@ -38,49 +52,81 @@ while [ $# -gt 0 ]; do
     shift
 done
 case $PREFIX in /?*) ;; *) die "--prefix = $PREFIX: must be an absolute path" ;; esac
-case $can in networkd | ip | none) ;; *) die "--can = $can: must be networkd, ip or none" ;; esac
 root=$DESTDIR$PREFIX
+. "$here/environment.sh"
+
+# --- What is there, and what is wanted ---
+
+kind_before() { if [ -f "$root/.drivegate" ]; then sed -n 's/^for //p' "$root/.drivegate"; fi; }
+
+can_before() {
+    if [ -f "$DESTDIR$CONFIG/can/kind" ]; then
+        cat "$DESTDIR$CONFIG/can/kind"
+    else
+        case $(written) in *"$CONFIG/can/"*) echo ip ;; *) echo networkd ;; esac
+    fi
+}
+
+# Robots that this computer is set up for: those that are bound to CAN interfaces, or started at boot.
+robots_before() {
+    ours | sed -n 's|.*/drivegate@\([^/]*\)\.service\.d/can\.conf$|\1|p; s|.*\.wants/drivegate@\(.*\)\.service$|\1|p' | sort -u
+}
+
+is_in() { # WORD WORDS...
+    word=$1
+    shift
+    for one in "$@"; do [ "$one" != "$word" ] || return 0; done
+    return 1
+}
+
+# Where the file of a robot will be read from; it may be one that only comes with this installation.
+robot_file() { if [ -f "$DESTDIR$CONFIG/$1.toml" ]; then echo "$DESTDIR$CONFIG/$1.toml"; else echo "$here/robots/$1.toml"; fi; }
+
+check_words() {
+    case $can in networkd | ip | none) ;; *) die "--can = $can: must be networkd, ip or none" ;; esac
+    case $kind in client | robot | desk) ;; *) die "--for = $kind: must be client, robot or desk" ;; esac
+    known=$(for file in "$DESTDIR$CONFIG"/*.toml "$here"/robots/*.toml; do basename "$file" .toml; done | grep -vxF '*' | sort -u)
+    for robot in $enable; do
+        [ -f "$(robot_file "$robot")" ] ||
+            die "--enable $robot: there is no robot file $CONFIG/$robot.toml; there is: $(echo $known). Nothing was changed"
+    done
+    for robot in $disable; do
+        # shellcheck disable=SC2046 # words
+        is_in "$robot" $(robots_before) || die "--disable $robot: it is not set up here. Nothing was changed"
+    done
+    if [ "$kind" = client ]; then
+        [ -z "$enable" ] || die "--for client --enable: a client drives no robot of its own"
+        [ ! -e "$DESTDIR$UNITS/drivegate@.service" ] || die "this computer is set up as a robot: first sh $here/uninstall.sh"
+    fi
+}
+
+# make_plan PYTHON: the buses of all robots in $work/plan, or an end where two do not go together
+make_plan() {
+    set -- "$1" -I "$here/can_plan.py"
+    for robot in $robots; do
+        [ -f "$(robot_file "$robot")" ] ||
+            die "$robot is set up here, and there is no $CONFIG/$robot.toml: put it back, or --disable $robot. Nothing was changed"
+        set -- "$@" "$(robot_file "$robot")"
+    done
+    [ -n "$robots" ] || { : >"$work/plan" && return 0; }
+    "$@" >"$work/plan" || die "change the robot files, or --disable one of them. Nothing was changed"
+}
+
+# --- Files ---
 
 # put SOURCE TARGET [MODE]: install if different, with our paths in it
 put() {
     sed "s|/opt/drivegate|$PREFIX|g" "$1" >"$work/put"
     target=$DESTDIR$2
+    echo "$target" >>"$work/wanted"
     if [ -f "$target" ] && cmp -s "$work/put" "$target"; then
         return 0
     fi
     if [ -e "$target" ]; then verb=updated; else verb=installed; fi
+    [ "$verb" = updated ] || echo "$target" >>"$work/new_files"
     install -D -m "${3:-644}" "$work/put" "$target"
+    echo "$target" >>"$work/changed"
     say "$verb $target"
-}
-
-VERSION='from importlib.metadata import version; print(version("drivegate"))'
-
-build_environment() {
-    . "$here/venv.sh"
-    case $(python3 -c 'import sys; print(sys.base_prefix)') in
-        /root/* | /home/*) die "python3 is in a home directory, which the service cannot see: use Debian's" ;;
-    esac
-    rm -rf "$root.new"
-    mkdir -p "$(dirname "$root")"
-    make_venv "$root.new"
-    "$root.new/bin/pip" install --quiet --disable-pip-version-check --no-compile -c "$here/constraints.txt" "$source"
-    # Scripts and configuration name the place where the environment will be, not the one where it was built.
-    grep -lIr --exclude-dir=lib --exclude-dir=lib64 "$root.new" "$root.new" | xargs -r sed -i "s|$root.new|$PREFIX|g"
-    echo "built by install.sh; uninstall.sh removes this directory" >"$root.new/.drivegate"
-}
-
-swap_environment() {
-    rm -rf "$root.old"
-    if [ -e "$root" ]; then
-        [ -e "$root/.drivegate" ] || die "$root exists and was not built by this script: choose another --prefix"
-        mv "$root" "$root.old"
-    fi
-    mv "$root.new" "$root"
-    rm -rf "$root.old"
-    "$root/bin/python" -m compileall -q -s "$DESTDIR" "$root/lib" >/dev/null || true # some packages carry old syntax
-    say "installed the environment $root: DriveGate $("$root/bin/python" -I -c "$VERSION")"
-    mkdir -p "$DESTDIR/usr/local/bin"
-    ln -sfn "$PREFIX/bin/drivegate" "$DESTDIR/usr/local/bin/drivegate"
 }
 
 install_files() {
@@ -93,6 +139,9 @@ install_files() {
     for file in "$here"/robots/*.toml; do
         put_robot "$file" "$CONFIG/$(basename "$file")"
     done
+    if [ "$can" != "$(can_before)" ] && [ -n "$(written)" ]; then say "CAN interfaces: $(can_before) before, $can now"; fi
+    echo "$can" >"$work/kind"
+    [ -z "$robots" ] || put "$work/kind" "$CONFIG/can/kind"
 }
 
 # A robot file that differs from ours was edited: it stays, ours is put beside it.
@@ -105,33 +154,16 @@ put_robot() {
     fi
 }
 
-# "channel bitrate", and on a bus of CAN FD "data bitrate", of every SocketCAN bus of a robot file; fails with the reason if it is no valid one.
-buses() {
-    "$root/bin/python" -I - "$DESTDIR$CONFIG/$1.toml" <<'END'
-import sys
-from pathlib import Path
-from gateway.config import ConfigError, load
-try:
-    config, _ = load(Path(sys.argv[1]))
-except ConfigError as error:
-    sys.exit(str(error))
-for bus in config.bus:
-    if bus.interface == "socketcan":
-        print(bus.channel, bus.bitrate, *([bus.fd_bitrate] if bus.fd else []))
-END
-}
-
 device() { systemd-escape --path --suffix=device "/sys/subsystem/net/devices/$1"; }
 
-# bind ROBOT: its unit follows its CAN interfaces, which get their bit rates
-bind() {
-    [ -f "$DESTDIR$CONFIG/$1.toml" ] || die "there is no robot file $CONFIG/$1.toml"
-    buses "$1" >"$work/buses" || die "$CONFIG/$1.toml is no valid robot file"
+# set_up ROBOT: its unit follows its CAN interfaces, which get their bit rates
+set_up() {
     devices=
-    while read -r channel bitrate data; do
+    while read -r robot channel bitrate data; do
+        [ "$robot" = "$1" ] || continue
         devices="$devices $(device "$channel")"
         case $channel in vcan* | vxcan*) ;; *) set_up_can "$channel" "$bitrate" "$data" ;; esac
-    done <"$work/buses"
+    done <"$work/plan"
     [ -n "$devices" ] || return 0
     {
         echo "# The CAN interfaces of $1; $MARK, do not edit."
@@ -145,65 +177,231 @@ bind() {
 set_up_can() {
     case $can in
         networkd)
-            for kind in network link; do
-                sed -e "s|@CHANNEL@|$1|g" -e "s|@BITRATE@|$2|g" -e "s|@DATA_BITRATE@|$3|g" "$here/80-can.$kind" |
-                    if [ -n "$3" ]; then cat; else sed '/^FDMode=/d; /^DataBitRate=/d'; fi >"$work/80-can.$kind"
-                put "$work/80-can.$kind" "$NETWORKS/80-drivegate-$1.$kind"
+            for part in network link; do
+                sed -e "s|@CHANNEL@|$1|g" -e "s|@BITRATE@|$2|g" -e "s|@DATA_BITRATE@|$3|g" "$here/80-can.$part" |
+                    if [ -n "$3" ]; then cat; else sed '/^FDMode=/d; /^DataBitRate=/d'; fi >"$work/80-can.$part"
+                put "$work/80-can.$part" "$NETWORKS/80-drivegate-$1.$part"
             done
             ;;
         ip)
             echo "BITRATE=$2" >"$work/can"
             [ -z "$3" ] || echo "FD=fd on dbitrate $3" >>"$work/can"
             put "$work/can" "$CONFIG/can/$1.conf"
-            enable_unit "drivegate-can@$(systemd-escape "$1").service"
             ;;
     esac
+    [ "$can" = none ] || echo "$1" >>"$work/channels"
 }
 
-enable_unit() {
-    if [ -n "$DESTDIR" ]; then
-        systemctl --root="$DESTDIR" --quiet enable "$1"
-    else
-        systemctl --quiet enable "$1"
-    fi
-    say "enabled $1"
+# NetworkManager, where there is one, must leave to others what they set up.
+release_from_manager() {
+    [ -s "$work/channels" ] && [ -d "$DESTDIR$MANAGER" ] || return 0
+    {
+        echo "# CAN interfaces of DriveGate robots; $MARK, do not edit."
+        # "+=" appends to what other files say; of two such lines in one file only the last would count
+        printf '[keyfile]\nunmanaged-devices+=%s\n' "$(sort -u "$work/channels" | sed 's/^/interface-name:/' | paste -sd ';')"
+    } >"$work/manager"
+    put "$work/manager" "$MANAGER/conf.d/80-drivegate.conf"
 }
+
+# What robot files asked for before, or another --can, and none does now: two ways to set up one interface would fight.
+remove_old() {
+    written | grep -vxF -f "$work/wanted" | while read -r path; do
+        case $path in
+            "$DESTDIR$CONFIG"/can/*) switch disable "drivegate-can@$(systemd-escape "$(basename "$path" .conf)").service" ;;
+        esac
+        remove "$path"
+        echo "$path" >>"$work/changed"
+    done
+    remove_empty
+}
+
+# switch enable|disable UNIT: at boot; with `disable` it ends now, too
+switch() {
+    if [ -n "$DESTDIR" ]; then
+        systemctl --root="$DESTDIR" --quiet "$1" "$2"
+    elif [ "$1" = disable ] && live; then
+        systemctl --quiet disable --now "$2"
+    else
+        systemctl --quiet "$1" "$2"
+    fi
+    say "${1}d $2"
+}
+
+# The places where a unit is enabled are those of the devices that it was bound to then.
+switch_on() {
+    for robot in $robots; do
+        # shellcheck disable=SC2086 # words
+        is_in "$robot" $enable ||
+            { is_enabled "$robot" && grep -qF "/drivegate@$robot.service.d/" "$work/changed"; } || continue
+        ours | grep "\.wants/drivegate@$robot\.service\$" | xargs -r -d '\n' rm -f
+        switch enable "drivegate@$robot.service"
+    done
+    [ "$can" = ip ] || return 0
+    sort -u "$work/channels" | while read -r channel; do
+        unit="drivegate-can@$(systemd-escape "$channel").service"
+        ours | grep -qF "/$unit" || switch enable "$unit"
+    done
+}
+
+is_enabled() { ours | grep -q "\.wants/drivegate@$1\.service\$"; }
+
+# --- The running system ---
 
 activate() {
     systemd-sysusers drivegate.conf
-    systemctl daemon-reload
-    if systemctl --quiet is-active systemd-networkd.service; then networkctl reload; fi
+    reload
+    if [ "$can" = ip ]; then
+        sort -u "$work/channels" | while read -r channel; do
+            systemctl --quiet restart --no-block "drivegate-can@$(systemd-escape "$channel").service"
+        done
+    fi
 }
 
-need_root
-work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
-refuse_while_moving
-[ "$build" = no ] || build_environment
-running=$(running_robots)
-refuse_while_moving # building took its time
-for robot in $running; do
-    systemctl stop "drivegate@$robot.service"
-    say "stopped $robot for the upgrade"
-done
-[ "$build" = no ] || swap_environment
-[ -x "$root/bin/python" ] || die "there is no environment in $root"
-"$root/bin/python" -I -c 'import gateway.config' || die "$root/bin/python has no DriveGate"
-install_files
-for directory in "$DESTDIR$UNITS"/drivegate@*.service.d; do
-    name=${directory##*/drivegate@}
-    [ ! -f "$directory/can.conf" ] || bind "${name%.service.d}"
-done
-for robot in $enable; do
-    bind "$robot"
-done
-if live; then activate; fi
-for robot in $enable; do
-    enable_unit "drivegate@$robot.service"
-done
-if live; then
-    for robot in $running $enable; do
+stop_robots() {
+    for robot in $running; do
+        stopped="$stopped $robot"
+        systemctl stop "drivegate@$robot.service"
+        say "stopped $robot for the upgrade"
+    done
+}
+
+start_robots() {
+    live || return 0
+    for robot in "$@"; do
         systemctl start --no-block "drivegate@$robot.service"
         say "starting $robot: systemctl status drivegate@$robot"
     done
+}
+
+# --- Back ---
+
+save_files() { ours | sed "s|^$DESTDIR/||" | tar -C "$DESTDIR/" -cf "$1" --no-recursion -T -; }
+
+# restore_files TAR: what is in it is there again, and nothing else of ours
+restore_files() {
+    tar -C "$DESTDIR/" -xf "$1"
+    tar -tf "$1" | sed "s|^|$DESTDIR/|" >"$work/restored"
+    ours | grep -vxF -f "$work/restored" | xargs -r -d '\n' rm -f
+    remove_empty
+    if live; then reload; fi
+}
+
+take_back() {
+    say "taking back what was changed" >&2
+    if [ "$swapped" = yes ]; then swap_back; fi
+    restore_files "$work/before.tar"
+    xargs -r -d '\n' rm -f <"$work/new_files"
+}
+
+finish() {
+    code=$?
+    trap - EXIT INT TERM HUP
+    set +e
+    if [ "$code" != 0 ] && [ "$changing" = yes ]; then
+        if (set -e; take_back); then
+            echo "$0: failed; everything is as it was before" >&2
+        else
+            echo "$0: failed, and so did taking it back: the files before are in $work/before.tar; run it again, or uninstall.sh" >&2
+            work=
+        fi
+        # shellcheck disable=SC2086 # words
+        start_robots $stopped
+    fi
+    rm -rf "$root.new" "$root.new.tmp" "$root.older" ${work:+"$work"}
+    exit "$code"
+}
+
+roll_back() {
+    [ -f "$root.old/files.tar" ] || die "there is no environment before this one in $root.old. Nothing was changed"
+    robots=$(tar -tf "$root.old/files.tar" | sed 's|^|/|' |
+        sed -n 's|.*/drivegate@\([^/]*\)\.service\.d/can\.conf$|\1|p; s|.*\.wants/drivegate@\(.*\)\.service$|\1|p' | sort -u)
+    make_plan "$root.old/bin/python"
+    running=$(running_robots)
+    save_files "$work/before.tar"
+    changing=yes
+    stop_robots
+    cp "$work/before.tar" "$root/files.tar"
+    exchange "$root.old" "$root"
+    swapped=yes
+    restore_files "$root/files.tar"
+    changing=no
+    say "back at $("$root/bin/python" -I -c "$VERSION"), with its units; once more --rollback goes forward again"
+    for robot in $running; do
+        # shellcheck disable=SC2086 # words
+        if is_in "$robot" $robots; then start_robots "$robot"; else say "$robot was not set up then: it stays stopped"; fi
+    done
+}
+
+tell_size() {
+    case $kind in
+        client) words=", for a client: without Rerun and what drives a robot" ;;
+        robot) words=", for a robot: without Rerun's viewer and the tools of a desk (--for desk has them)" ;;
+        desk) words=", for a desk" ;;
+    esac
+    say "$(du -sm "$root" | cut -f1) MB in $root$words"
+    [ ! -d "$root.old" ] || say "$(du -sm "$root.old" | cut -f1) MB in $root.old, the environment before it, for --rollback"
+}
+
+need_root
+exec 9<"$DESTDIR/" && flock -n 9 || die "another install.sh is at work here"
+[ -n "$kind" ] || kind=$(kind_before)
+: "${kind:=robot}" "${can:=$(can_before)}"
+work=$(mktemp -d)
+changing=no
+swapped=no
+stopped=
+trap finish EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM HUP
+touch "$work/wanted" "$work/new_files" "$work/changed" "$work/channels"
+check_words
+refuse_while_moving
+if [ "$rollback" = yes ]; then
+    roll_back
+    exit
 fi
+
+new=$root
+if [ "$build" = yes ]; then
+    check_environment
+    fingerprint=$(fingerprint)
+    if up_to_date; then
+        build=kept
+    else
+        check_room
+        build_environment
+        new=$root.new
+    fi
+fi
+[ -x "$new/bin/python" ] || die "there is no environment in $new. Nothing was changed"
+"$new/bin/python" -I -c 'import gateway.config' || die "$new/bin/python has no DriveGate. Nothing was changed"
+robots=$(for robot in $(robots_before) $enable; do
+    # shellcheck disable=SC2086 # words
+    is_in "$robot" $disable || echo "$robot"
+done | sort -u)
+make_plan "$new/bin/python"
+refuse_while_moving # building took its time
+
+running=$(running_robots)
+save_files "$work/before.tar"
+changing=yes
+stop_robots
+if [ "$build" = yes ]; then
+    swap_environment
+    say "installed the environment $root: DriveGate $("$root/bin/python" -I -c "$VERSION")"
+    mkdir -p "$DESTDIR/usr/local/bin"
+    ln -sfn "$PREFIX/bin/drivegate" "$DESTDIR/usr/local/bin/drivegate"
+fi
+if [ "$kind" != client ]; then
+    for robot in $disable; do switch disable "drivegate@$robot.service"; done
+    install_files
+    for robot in $robots; do set_up "$robot"; done
+    release_from_manager
+    remove_old
+    if live; then activate; fi
+    switch_on
+fi
+changing=no
+# shellcheck disable=SC2046,SC2086 # words
+start_robots $(for robot in $running $enable; do is_in "$robot" $disable || echo "$robot"; done | awk '!seen[$0]++')
+if [ "$build" != no ]; then tell_size; fi

@@ -9,11 +9,12 @@ import ast
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from gateway.cli.output import complain, console
+from gateway.cli.parts import missing
 from gateway.errors import UserError
 
 COMMANDS = {  # command: module of gateway.cli that has a function (or a group) of that name
@@ -110,5 +111,14 @@ def main() -> None:
     try:
         build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))()
     except UserError as error:
-        complain(str(error))
-        sys.exit(error.exit_code)
+        _leave(error)
+    except ModuleNotFoundError as error:
+        part = missing(error)
+        if part is None:
+            raise
+        _leave(part)
+
+
+def _leave(error: UserError) -> NoReturn:
+    complain(str(error))
+    sys.exit(error.exit_code)

@@ -220,6 +220,10 @@ def watch(
         if given and apart:
             raise typer.BadParameter("needs --viewer, which goes with nothing else", param_hint=option)
     table = _channel_table if channels else _table
+    if viewer:
+        from gateway.cli.viewer import installed  # noqa: PLC0415  # for those who want it only
+
+        installed()  # said before anything of Rerun is imported, which may be missing too
     with open_client(name, connect) as client:
         if viewer:
             from gateway.cli.look import look  # noqa: PLC0415  # Rerun is for those who want it only

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from gateway import robot_files
+from gateway.cli.parts import need
 from gateway.client import Client
 from gateway.config import RobotConfig, read
 from gateway.core.examination import examine_text
@@ -84,6 +85,9 @@ def run(
         logger.warning("%s", unlike)
     simulated = _simulated(config, plant or PlantName.SIMPLE, str(path), friction) if simulate else None
     config = _with_overrides(config, out=out, endpoint=endpoint)
+    wanted = config.recording.enabled or config.recording.incidents.enabled
+    if wanted:
+        need("rerun")  # of the recorder, whose process is another one
     notifier = Notifier()
     with ExitStack() as stack:
         # The bus first: a second service for the same motors is refused before it records or announces anything.
@@ -92,7 +96,6 @@ def run(
         latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
         stack.callback(latch.close)
         told = None if simulated is None else (plant or PlantName.SIMPLE).value
-        wanted = config.recording.enabled or config.recording.incidents.enabled
         recorder = Recorder(config, text, str(path), plant=told) if wanted else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))

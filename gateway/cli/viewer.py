@@ -1,4 +1,7 @@
-"""The Rerun viewer: a window where there is a display, else a page on loopback. Never listens beyond loopback."""
+"""The Rerun viewer: a window where there is a display, else a page on loopback. Never listens beyond loopback.
+
+It is a program that travels in the package of Rerun's SDK; an installation for a robot is without it.
+"""
 
 import os
 import socket
@@ -10,6 +13,7 @@ from typing import Self
 from urllib.parse import quote
 
 from gateway.cli.output import complain, console
+from gateway.cli.parts import MissingPartError, cure
 from gateway.recording.disk import segments
 
 LOOPBACK = "127.0.0.1"
@@ -33,9 +37,10 @@ class _EndedError(ViewerError):
 
 def view(session: Path) -> None:
     """Shows a session; blocks until the viewer is closed (Ctrl-C ends the served page)."""
-    program = _program()
-    if not program.exists():
-        complain(f"the Rerun viewer is not installed with this Python; open {session} with `rerun`")
+    try:
+        program = installed()
+    except MissingPartError as error:
+        complain(f"{error}. Or open {session} on another computer")
         return
     files = [str(path) for path in segments(session)]
     command = [str(program), "--bind", LOOPBACK, "--port", str(DATA_PORT)]
@@ -49,15 +54,15 @@ def view(session: Path) -> None:
 
 
 class LiveViewer:
-    """A viewer that recordings are sent to, at `url`, while they go on. Raises ViewerError at construction.
+    """A viewer that recordings are sent to, at `url`, while they go on.
+
+    Raises ViewerError and MissingPartError at construction.
 
     `page`: where to look at it, None for a window. Without a display it is a page anyway.
     """
 
     def __init__(self, *, web: bool = False) -> None:
-        program = _program()
-        if not program.exists():
-            raise ViewerError("the Rerun viewer is not installed with this Python")
+        program = installed()
         try:
             self._start(program, DATA_PORT, WEB_PORT, web=web)
         except _EndedError:  # another one may have been quicker to take a port that was free
@@ -141,6 +146,14 @@ def free_port(wanted: int, *, other_than: int | None = None) -> int:
         if found != other_than:
             return found
     raise ViewerError("no port on loopback is free")
+
+
+def installed() -> Path:
+    """The program of the viewer. Raises MissingPartError."""
+    program = _program()
+    if not program.exists():
+        raise MissingPartError(f"the Rerun viewer is not installed here: {cure('desk')}")
+    return program
 
 
 def _program() -> Path:

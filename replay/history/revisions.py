@@ -25,6 +25,7 @@ from replay.history.bisect import Answer, Asked, BisectError
 
 GIT_TIMEOUT_S = 120.0
 PIP_TIMEOUT_S = 1800.0
+PART = "robot"  # has what `replay verify` needs
 NEEDED = ("gateway", "replay", "pyproject.toml")
 _ANSWERS = {0: Answer.GOOD, 3: Answer.GOOD, 1: Answer.BAD}  # exit codes of `drivegate replay verify`
 # The first Pythons 3.11 know no filters; what git packs is none of a stranger's.
@@ -156,9 +157,15 @@ class _UnusableError(Exception):
 def _requirements(tree: Path) -> list[str]:
     try:
         project = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-        return [str(one) for one in project["dependencies"]]
+        return [str(one) for one in (*project["dependencies"], *_extra(project, PART))]
     except (ValueError, KeyError) as error:
         raise _UnusableError(f"its pyproject.toml cannot be read: {error}") from None
+
+
+def _extra(project: dict[str, Any], name: str) -> list[str]:
+    """What a part of DriveGate needs; nothing in a commit that has no parts."""
+    found: list[str] = project.get("optional-dependencies", {}).get(name, [])
+    return found
 
 
 def _is_met(requirement: str) -> bool:

@@ -15,6 +15,7 @@ from gateway.cli import look as look_module
 from gateway.cli import viewer as viewer_module
 from gateway.cli.app import build
 from gateway.cli.look import Follower
+from gateway.cli.parts import MissingPartError
 from gateway.cli.viewer import LOOPBACK, LiveViewer, ViewerError, free_port
 from gateway.client import Client
 from gateway.core.samples import Sampler
@@ -194,7 +195,7 @@ def test_options_that_do_not_go_together(options: list[str]) -> None:
 
 def test_a_viewer_that_is_not_there_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewer_module, "_program", lambda: tmp_path / "rerun")
-    with pytest.raises(ViewerError, match="not installed"):
+    with pytest.raises(MissingPartError, match="not installed"):
         LiveViewer()
     (tmp_path / "rerun").symlink_to("/bin/false")
     with pytest.raises(ViewerError, match="ended with exit code"):

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from replay.history.bisect import Answer, Asked, BisectError, bisect
-from replay.history.revisions import Repository, Revisions
+from replay.history.revisions import Repository, Revisions, _requirements
 from tests.corpus import FOLDER
 
 ROOT = Path(__file__).parents[2]
@@ -173,6 +173,17 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
         file.writestr(f"{info}/RECORD", "")
     return name
 """
+
+
+def test_a_commit_needs_what_its_robots_need_and_nothing_of_the_desk(tmp_path: Path) -> None:
+    project = tmp_path / "pyproject.toml"
+    project.write_text('[project]\ndependencies = ["a"]\n', encoding="utf-8")
+    assert _requirements(tmp_path) == ["a"]
+    project.write_text(
+        '[project]\ndependencies = ["a"]\n[project.optional-dependencies]\nrobot = ["b>=2"]\ndesk = ["c"]\n',
+        encoding="utf-8",
+    )
+    assert _requirements(tmp_path) == ["a", "b>=2"]
 
 
 @settings(max_examples=12, deadline=None)
