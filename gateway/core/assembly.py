@@ -70,7 +70,7 @@ class Robot(NamedTuple):
 
 def build(config: RobotConfig, origin: str = "robot file") -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range."""
-    wrong = [f"settings: {problem}" for problem in problems_of_file(config.settings)]
+    wrong = [f"settings: {problem}" for problem in problems_of_file(config.settings, config.limits.velocity)]
     if wrong:
         raise ConfigError(origin, wrong)
     motors = config.motors_in_order()
@@ -107,7 +107,8 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
 
 def problems_of(parts: Parts) -> list[str]:
     """What is wrong with the sound parts of a robot file, each looked at by itself, whatever is wrong beside it."""
-    found = [] if parts.settings is None else [f"settings: {one}" for one in problems_of_file(parts.settings)]
+    velocity = None if parts.limits is None else parts.limits.velocity
+    found = [f"settings: {one}" for one in problems_of_file(parts.settings or {}, velocity)]
     if parts.robot is not None:
         try:
             parts.robot.kinematics()
