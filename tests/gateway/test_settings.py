@@ -1,14 +1,19 @@
 """Settings of a running robot: what may be set, what is refused, and that none moves a robot by itself."""
 
+import json
+import re
 from itertools import pairwise
+from pathlib import Path
 from random import Random
 
 import pytest
 
-from gateway.config import ConfigError, parse
+from gateway.config import ConfigError, RobotConfig, parse
 from gateway.core.assembly import build
 from gateway.core.engine import Engine
-from gateway.core.settings import LIMITING, SETTINGS, Settings, of_robot
+from gateway.core.settings import LEAST_SHARE, LIMITING, SETTINGS, Settings, of_robot
+from gateway.edges.messages import encode_setting, parse_setting
+from gateway.file_keys import rules
 from gateway.types import Mode, Outputs, Reply, Request, RequestKind, SettingStatus, Twist
 from replay.drive.scenario_file import Scenario
 from replay.inject.random_drives import SECONDS, judge, scenario
@@ -122,6 +127,57 @@ def test_the_robot_file_names_what_it_is_at_the_start(lines: str, words: str) ->
     assert Engine(config)._settings.describe()[0].value == 0.25
     with pytest.raises(ConfigError, match=words.replace(".", r"\.")):
         build(parse(f"{robot_text('moby')}\n[settings]\n{lines}\n", "moby"))
+
+
+@pytest.mark.parametrize(
+    ("key", "place", "meant"),
+    [
+        ("limits.velocity.vx", "limits.velocity.vx", "linear_speed"),
+        ("limits.velocity", "limits.velocity", "speed_override or linear_speed or angular_speed"),
+        ("limits.acceleration", "limits.acceleration", "acceleration_override"),
+        ("limits.jerk", "limits.jerk", "jerk_override"),
+        ("robot.grip.friction", "robot.grip.friction", "friction"),
+        ("motor[0].gear_ratio", "motor.gear_ratio", None),
+        ("gear_ratio", "motor.gear_ratio", None),
+        ("watchdog", "motor.watchdog", None),
+    ],
+)
+def test_a_key_of_the_robot_file_needs_a_restart(key: str, place: str, meant: str | None) -> None:
+    """Told in the same words to whoever encodes it, and by a robot whom somebody asks all the same."""
+    words = (
+        f"{key}: needs a restart: it is in the robot file ({place}), which is read at the start; settings that can be "
+        f"changed while it runs: {', '.join(SETTINGS)}" + (f"; did you mean {meant}?" if meant else "")
+    )
+    with pytest.raises(ValueError, match=re.escape(words)):
+        encode_setting(key, 1.0)
+    assert parse_setting(json.dumps({"setting": key, "value": 1.0}).encode()) == words
+
+
+def test_every_setting_says_which_keys_it_stands_for() -> None:
+    known = {rule.key for rule in rules(RobotConfig)} | {f"limits.velocity.{axis}" for axis in ("vx", "vy", "wz")}
+    for setting in SETTINGS.values():
+        assert setting.keys
+        assert set(setting.keys) <= known
+        assert parse_setting(encode_setting(setting.name, 1.0)) == (setting.name, 1.0)
+
+
+def test_the_table_of_the_readme_has_them_all() -> None:
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    table = readme.partition("| setting | range | default | what it does |\n")[2].partition("\n\n")[0]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()[1:]]
+    told = {
+        name: (span.strip(), default)
+        for names, ranges, default, _ in cells
+        for name, span in zip(re.findall(r"`(\w+)`", names), ranges.split(";"), strict=True)
+    }
+    assert told.keys() == SETTINGS.keys()
+    for name, setting in SETTINGS.items():
+        span, default = told[name]
+        if name in {"linear_speed", "angular_speed"}:  # whose range is the robot's
+            assert span.startswith(f"{LEAST_SHARE:.0%}".replace("%", " %"))
+            continue
+        assert span.removesuffix(f" {setting.unit}") == f"{setting.low:g} to {setting.high:g}"
+        assert default.startswith("`[robot.") if setting.default is None else default == f"{setting.default:g}"
 
 
 @pytest.mark.parametrize("name", NAMES)
