@@ -19,7 +19,7 @@ from gateway.commander import ANSWER_TIMEOUT_S, objection, rest, start, stream, 
 from gateway.config import RobotConfig
 from gateway.control.launch import FRICTION, LEAST_FRICTION, LOOKS, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
-from gateway.core.settings import SPEED_OVERRIDE
+from gateway.core.settings import LIMITING
 from gateway.edges.messages import StateMessage
 from gateway.types import ZERO_TWIST, Mode, Status
 
@@ -245,6 +245,6 @@ def _check(state: StateMessage | None) -> Status:
     if status.mode is Mode.DEGRADED:
         raise CalibrationError(f"mode {status.mode.value}: {status.reason}")
     for setting in status.settings:
-        if setting.name == SPEED_OVERRIDE.name and setting.value < 1.0:
-            raise CalibrationError(f"{setting.name} = {setting.value:g}: must be 1 for it")
+        if setting.name in LIMITING and setting.value < setting.high:
+            raise CalibrationError(f"{setting.name} = {setting.value:g}: must be {setting.high:g} for it")
     return status

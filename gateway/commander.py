@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from gateway.client import Client
 from gateway.config import ConfigError, RobotConfig, parse
-from gateway.core.settings import SPEED_OVERRIDE
+from gateway.core.settings import LINEAR_SPEED, SPEED_OVERRIDE
 from gateway.edges.messages import OdometryMessage, StateMessage
 from gateway.guess import guess
 from gateway.paths.drive import PathDrive, check, demands_of
@@ -147,7 +147,7 @@ def drive_path(
     """Drives along the path, in the frame of the odometry, and ends at rest; `watch` gets every order.
 
     Before anything is sent the path is checked against the robot, and its start against where that stands: raises
-    ConfigError, with `origin` as the file's name. It is slower where the robot's speed override says so. Ctrl-C ends it
+    ConfigError, with `origin` as the file's name. It is slower where the robot's settings say so. Ctrl-C ends it
     at rest too.
     """
     config = config_of(client)
@@ -161,7 +161,7 @@ def drive_path(
         return PathResult("the robot does not tell where it is", path.length, 0.0, 0.0, None, _mode(client))
     heading = _chassis_heading(config, state, odometry)
     check(demands.start_problems(path, odometry.x, odometry.y, heading), origin)
-    slower = min(speed, _speed_override(state) * demands.top_speed)
+    slower = min(speed, _allowed_speed(state, demands.top_speed))
     drive = PathDrive(demands.follower(path, slower), period=1.0 / COMMAND_RATE_HZ)
     began = time.monotonic()
     reason = _driven(client, drive, source, watch)
@@ -217,10 +217,10 @@ def _chassis_heading(config: RobotConfig, state: StateMessage, odometry: Odometr
     return odometry.theta - joint if isinstance(joint, float) else None
 
 
-def _speed_override(state: StateMessage) -> float:
-    """Share of the top speeds that commands may use now."""
+def _allowed_speed(state: StateMessage, top: float) -> float:
+    """M/s that commands may use now, of this top speed."""
     values = {setting.name: setting.value for setting in state.status.settings}
-    return values.get(SPEED_OVERRIDE.name, 1.0)
+    return min(values.get(SPEED_OVERRIDE.name, 1.0) * top, values.get(LINEAR_SPEED.name, top))
 
 
 def _off_the_end(client: Client, path: Path) -> float | None:

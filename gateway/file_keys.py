@@ -6,6 +6,7 @@ The fields of the models are the only home: a key's `Field` has range and meanin
 what a text has to be like. Messages about a wrong value, `drivegate explain` and `drivegate format` all read them here.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from types import NoneType, UnionType
@@ -21,6 +22,7 @@ from gateway.sections import Form, Unit
 
 _SAID_BY_US: Final = ("value_error", "assertion_error")  # types of errors whose words are ours already
 _UNKNOWN_KIND: Final = ("union_tag_invalid", "union_tag_not_found")
+_PLACE: Final = re.compile(r"\[\d*\]")  # of a table in a list, as messages have it: motor[0].id
 _KEY: Final = "[key]"  # ends the place of a key that is wrong itself
 _FORMS: Final[dict[object, str]] = {
     float: "a number",
@@ -53,6 +55,19 @@ class Rule(NamedTuple):
 def rules(model: type[BaseModel]) -> Iterator[Rule]:
     """Every key, tables before what is in them, in the order of the model."""
     yield from _below("", model, None)
+
+
+def matching(every: Sequence[Rule], word: str) -> list[Rule]:
+    """The key and, of a table, the keys in it; else every key that ends so. Names in a table stand for the table."""
+    asked = _PLACE.sub("", word)
+    exact = {rule.key for rule in every}
+    while asked not in exact and "." in asked and asked.rpartition(".")[0] in exact:
+        parent = asked.rpartition(".")[0]
+        if any(rule.table for rule in every if rule.key == parent):
+            break  # a table whose keys are known has no such key
+        asked = parent
+    found = [rule for rule in every if rule.key == asked or rule.key.startswith(f"{asked}.")]
+    return found or [rule for rule in every if rule.key.endswith(f".{asked}")]
 
 
 def allowed(model: type[BaseModel], location: Sequence[int | str]) -> str | None:

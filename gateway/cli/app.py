@@ -41,6 +41,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "replay": "replay",
     "reproduce": "reproduce",
 }
+SIGNED = {"set"}  # commands with an argument that is a number, so that -1 is none of their options
 
 
 def _show_version(asked: bool) -> None:
@@ -70,7 +71,7 @@ def build(called: str | None) -> typer.Typer:
     if isinstance(command, typer.Typer):
         app.add_typer(command, name=called)
     else:
-        app.command(called)(command)
+        app.command(called, context_settings={"ignore_unknown_options": called in SIGNED})(command)
     return app
 
 

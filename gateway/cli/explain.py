@@ -1,6 +1,5 @@
 """`drivegate explain`: what a key of the robot file means, or a code; the latter is in `doctor --explain` too."""
 
-import re
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -13,7 +12,6 @@ from gateway.guess import guess
 
 EXIT_UNKNOWN = 1
 ALL = "all"
-_PLACE = re.compile(r"\[\d*\]")  # of a table in a list, as messages have it: motor[0].id
 
 
 def explain(
@@ -22,7 +20,7 @@ def explain(
 ) -> None:
     """Say what a key of the robot file means, its unit, range and default; or what a code means, and what to do."""
     from gateway.config import RobotConfig  # noqa: PLC0415  # not needed for a code
-    from gateway.file_keys import rules  # noqa: PLC0415
+    from gateway.file_keys import matching, rules  # noqa: PLC0415
 
     every = list(rules(RobotConfig))
     found = matching(every, word)
@@ -33,19 +31,6 @@ def explain(
     else:
         for rule in found:
             show(rule)
-
-
-def matching(every: Sequence[Rule], word: str) -> list[Rule]:
-    """The key and, of a table, the keys in it; else every key that ends so. Names in a table stand for the table."""
-    asked = _PLACE.sub("", word)
-    exact = {rule.key for rule in every}
-    while asked not in exact and "." in asked and asked.rpartition(".")[0] in exact:
-        parent = asked.rpartition(".")[0]
-        if any(rule.table for rule in every if rule.key == parent):
-            break  # a table whose keys are known has no such key
-        asked = parent
-    found = [rule for rule in every if rule.key == asked or rule.key.startswith(f"{asked}.")]
-    return found or [rule for rule in every if rule.key.endswith(f".{asked}")]
 
 
 def document(rule: Rule) -> dict[str, object]:

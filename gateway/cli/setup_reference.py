@@ -93,7 +93,7 @@ def _put(config: RobotConfig, motor: Motor) -> list[Change]:
 
 def _turned(config: RobotConfig, motor: Motor) -> float | None:
     """Rad at its shaft while it was turned positively; None: it cannot be turned by hand."""
-    way = positive_ways(config)[motor.name]
+    way = positive_ways(config.robot)[motor.name]
     skip = f"or {NOT_BY_HAND}: it cannot be turned by hand, and its direction stays"
     if ask(f"{motor.name}: press Enter, then turn it half a turn at most, so that {way}; {skip}.") == NOT_BY_HAND:
         return None

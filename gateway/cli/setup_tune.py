@@ -53,7 +53,7 @@ def tune(
             pass  # so that nothing turns for nothing
         allow(
             f"{warning(config, motor)} {motor} will turn {procedure.way:.2f} rad by steps of speed, at "
-            f"{procedure.top:g} rad/s at most: {positive_ways(config)[motor]}.",
+            f"{procedure.top:g} rad/s at most: {positive_ways(config.robot)[motor]}.",
             "to turn it",
             yes=yes,
         )

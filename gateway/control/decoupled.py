@@ -19,8 +19,10 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from gateway.control.limits import (
+    Ease,
     Ground,
     arrives,
+    eased,
     excess,
     landing_slope,
     scale_to,
@@ -82,9 +84,9 @@ class Decoupled:
         self._wheels = wheels
 
     def step(
-        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None
+        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None, ease: Ease
     ) -> tuple[Rates, Rates, tuple[str, ...]]:
-        """Setpoint and its rate after dt seconds, and the names of the limits at work; `effort` as for the whole."""
+        """Setpoint and its rate after dt seconds, and the names of the limits at work; `effort`, `ease` as of all."""
         first, second, active = self._aims(rates, target, ground)
         if dt <= 0.0:
             return rates, rate, active
@@ -92,9 +94,9 @@ class Decoupled:
         two = Going(self._second.of(rates), self._second.of(rate), second)
         free = spare(rates, self._acceleration, summed(summed(first, second, 1.0), rates, -1.0))
         given = self._given(one, rates, ground, self._falling(two.rate, dt))
-        one_after, one_rate = self._walk_first(one, two, free, dt=dt, effort=effort * given)
+        one_after, one_rate = self._walk_first(one, two, free, dt=dt, effort=effort * given, ease=ease)
         left = self._given(two, rates, ground, one_rate)
-        two_after, two_rate = self._walk_second(two, one_rate, free, dt=dt, effort=effort * left)
+        two_after, two_rate = self._walk_second(two, one_rate, free, dt=dt, effort=effort * left, ease=ease)
         if one_after != first or two_after != second:
             active = (*active, "acceleration", "grip") if min(given, left) < 1.0 else (*active, "acceleration")
         return summed(one_after, two_after, 1.0), summed(one_rate, two_rate, 1.0), active
@@ -143,19 +145,23 @@ class Decoupled:
             return min(wheels, 1.0 / turning)
         return wheels
 
-    def _walk_first(self, one: Going, two: Going, free: Rates, *, dt: float, effort: float) -> tuple[Rates, Rates]:
+    def _walk_first(
+        self, one: Going, two: Going, free: Rates, *, dt: float, effort: float, ease: Ease
+    ) -> tuple[Rates, Rates]:
         limits = self._wheels.accelerations
-        after, rate = self._walk(self._first, one, free, limits, dt=dt, effort=effort)
+        after, rate = self._walk(self._first, one, free, limits, dt=dt, effort=effort, ease=ease)
         if not limits:
             return after, rate
         left = self._wheels.left(self._falling(two.rate, dt))
         return self._within(one, one.rate, rate, after, left, dt=dt)
 
-    def _walk_second(self, two: Going, first: Rates, free: Rates, *, dt: float, effort: float) -> tuple[Rates, Rates]:
+    def _walk_second(
+        self, two: Going, first: Rates, free: Rates, *, dt: float, effort: float, ease: Ease
+    ) -> tuple[Rates, Rates]:
         if not self._wheels.accelerations:
-            return self._walk(self._second, two, free, (), dt=dt, effort=effort)
+            return self._walk(self._second, two, free, (), dt=dt, effort=effort, ease=ease)
         left = self._wheels.left(first)
-        after, rate = self._walk(self._second, two, free, left, dt=dt, effort=effort)
+        after, rate = self._walk(self._second, two, free, left, dt=dt, effort=effort, ease=ease)
         return self._within(two, self._falling(two.rate, dt), rate, after, left, dt=dt)
 
     def _within(
@@ -169,18 +175,19 @@ class Decoupled:
         return scale_to(summed(going.now, rate, dt), self._velocity), rate
 
     def _walk(
-        self, group: Group, going: Going, free: Rates, wheels: Sequence[float], *, dt: float, effort: float
+        self, group: Group, going: Going, free: Rates, wheels: Sequence[float], *, dt: float, effort: float, ease: Ease
     ) -> tuple[Rates, Rates]:
         """One step of a group by itself, as the whole twist goes (`gateway.control.limits`).
 
         `wheels`: rad/s^2 that each has for it; planning with those keeps every rate one from which it can fall.
         """
         way = summed(going.aim, going.now, -1.0)
+        ease = eased(ease, going.now, way, self._acceleration)
         longest = self._wheels.seconds(way, wheels)
-        if longest <= dt and arrives(way, going.rate, self._acceleration, self._jerk, dt):
+        if longest <= dt and arrives(way, going.rate, self._acceleration, self._jerk, dt, ease=ease):
             return going.aim, scaled(way, 1.0 / dt)
-        length = max(excess(way, free) / effort, longest)
-        rate = turned(going.rate, way, length, self._jerk, slope=group.slope, dt=dt)
+        length = max(excess(way, free) / (effort * ease.acceleration), longest)
+        rate = turned(going.rate, way, length, self._jerk, slope=group.slope * ease.slope, dt=dt, ease=ease.jerk)
         return scale_to(summed(going.now, rate, dt), self._velocity), rate
 
     def _falling(self, rate: Rates, dt: float) -> Rates:

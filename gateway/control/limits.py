@@ -13,10 +13,14 @@ What the floor feels is dv/dt + w x v: whoever drives a curve accelerates. So a 
 w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what w x v leaves of them. The set of such
 twists is not convex: where the straight line would leave it, the rates that must fall go first (`_beside`).
 Axes beyond the twist (`Rates`) accelerate nothing but themselves.
+
+`Ease` makes speeding up softer than the limits are, and nothing else: a setpoint that slows down has all of them, so
+whoever lets go or commands zero is at rest as soon as without it. It only ever changes what is aimed at; the rate gets
+there within the jerk limit, so that it may come, change and go in any cycle.
 """
 
 from math import ceil, sqrt
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from drivers.records import maker
 from gateway.arithmetic import dot
@@ -30,6 +34,21 @@ LEAST_SHARE: Final = 0.2  # of an acceleration limit that changing speed always 
 _ROUNDING: Final = 1.0 + 1e-9  # a rate that has just fallen by a whole step may seem to have fallen by more
 _UNROLLED: Final = len(PLANAR)  # most robots have no more axes, and loops over so few cost twice as much
 _LINE_TOLERANCE: Final = 1.02  # of the turning limit, by which the way between two twists on its edge may exceed it
+
+
+class Ease(NamedTuple):
+    """Shares (0..1] of the limits of acceleration and jerk with which a setpoint may speed up."""
+
+    acceleration: float = 1.0
+    jerk: float = 1.0
+
+    @property
+    def slope(self) -> float:
+        """Of what is left of both, in that of the limits (`landing_slope`)."""
+        return self.jerk / self.acceleration
+
+
+NO_EASE: Final = Ease()
 
 
 class Ground(Protocol):
@@ -51,7 +70,7 @@ class Course(Protocol):
     """A way of its own from a setpoint to its target; keeps nothing."""
 
     def step(
-        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None
+        self, rates: Rates, rate: Rates, target: Rates, *, dt: float, effort: float, ground: Ground | None, ease: Ease
     ) -> tuple[Rates, Rates, tuple[str, ...]]:
         """Setpoint and its rate after dt seconds, and the names of the limits at work."""
         ...
@@ -151,20 +170,27 @@ class TwistLimiter:
         self.rates = scaled(self.rates, factor)
         self._rate = scaled(self._rate, factor)
 
-    def step(
-        self, target: Rates, dt: float, *, effort: float = 1.0, headroom: float = 1.0, ground: Ground | None = None
+    def step(  # all that may hold a setpoint back
+        self,
+        target: Rates,
+        dt: float,
+        *,
+        effort: float = 1.0,
+        headroom: float = 1.0,
+        ground: Ground | None = None,
+        ease: Ease = NO_EASE,
     ) -> tuple[Rates, tuple[str, ...]]:
         """Setpoint after dt seconds and the names of the limits that held it back.
 
         `effort` (0..1] scales the acceleration that may be used (degraded driving has fewer motors to push with).
         `headroom` [0..1] scales what the setpoint may grow: motors at their torque limit cannot follow. An axis that
         is to fall falls all the same, or a robot that is overloaded would obey no command for less but zero.
-        `ground` may give less than the limits say ("grip").
+        `ground` may give less than the limits say ("grip"). `ease`: of speeding up.
         """
         before = self.rates
         if self._course is not None:
             after, self._rate, active = self._course.step(
-                before, self._rate, target, dt=dt, effort=effort, ground=ground
+                before, self._rate, target, dt=dt, effort=effort, ground=ground, ease=ease
             )
             return self._held_back(before, after, headroom), active
         wanted, active = self._holdable(target, ground)
@@ -172,11 +198,12 @@ class TwistLimiter:
             return before, active
         aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
         way = summed(aim, before, -1.0)
-        if self._arrives(way, dt):
+        ease = eased(ease, before, way, self._acceleration)
+        if self._arrives(way, dt, ease):
             after, self._rate = aim, scaled(way, 1.0 / dt)
         else:
             given = 1.0 if ground is None else ground.effort(before, way, self._zero)
-            self._turn_rate(way, dt, effort * given)
+            self._turn_rate(way, dt, effort * given, ease)
             after = scale_to(summed(before, self._rate, dt), self._velocity)
             active = (*active, "acceleration", "grip") if given < 1.0 else (*active, "acceleration")
         return self._held_back(before, after, headroom), active
@@ -264,35 +291,45 @@ class TwistLimiter:
         )
         return (to_vx * speed, to_vy * speed, max(-turn, min(turn, to_wz)), *wanted[3:])
 
-    def _arrives(self, way: Rates, dt: float) -> bool:
+    def _arrives(self, way: Rates, dt: float, ease: Ease = NO_EASE) -> bool:
         if self._wheels is not None and self._wheels.seconds(way, self._wheels.accelerations) > dt:
             return False
-        return arrives(way, self._rate, self._acceleration, self._jerk, dt)
+        return arrives(way, self._rate, self._acceleration, self._jerk, dt, ease=ease)
 
-    def _turn_rate(self, way: Rates, dt: float, effort: float) -> None:
-        length = excess(way, spare(self.rates, self._acceleration, way)) / effort
+    def _turn_rate(self, way: Rates, dt: float, effort: float, ease: Ease = NO_EASE) -> None:
+        length = excess(way, spare(self.rates, self._acceleration, way)) / (effort * ease.acceleration)
         if self._wheels is not None:
             length = max(length, self._wheels.seconds(way, self._wheels.accelerations))
-        self._rate = turned(self._rate, way, length, self._jerk, slope=self._rho, dt=dt)
+        self._rate = turned(self._rate, way, length, self._jerk, slope=self._rho * ease.slope, dt=dt, ease=ease.jerk)
 
 
-def arrives(way: Rates, rate: Rates, acceleration: Rates, jerk: Rates, dt: float) -> bool:
+def eased(ease: Ease, rates: Rates, way: Rates, acceleration: Rates) -> Ease:
+    """What of it holds for a setpoint that goes this way: nothing while that leads towards rest."""
+    if ease == NO_EASE:
+        return NO_EASE
+    units = [1.0 / (limit * limit) for limit in acceleration]
+    return ease if dot([value * unit for value, unit in zip(rates, units)], way) >= 0.0 else NO_EASE
+
+
+def arrives(way: Rates, rate: Rates, acceleration: Rates, jerk: Rates, dt: float, *, ease: Ease = NO_EASE) -> bool:
     """Whether one step can cover the rest of the way and the next can be at rest, within every limit."""
-    if excess(way, acceleration) > dt:
+    if excess(way, acceleration) > dt * ease.acceleration:
         return False
     last = scaled(way, 1.0 / dt)
     change = summed(last, rate, -1.0)
-    return excess(last, jerk) <= dt and excess(change, jerk) <= dt * _ROUNDING
+    step = dt * ease.jerk
+    return excess(last, jerk) <= step and excess(change, jerk) <= step * _ROUNDING
 
 
-def turned(rate: Rates, way: Rates, length: float, jerk: Rates, *, slope: float, dt: float) -> Rates:
+def turned(rate: Rates, way: Rates, length: float, jerk: Rates, *, slope: float, dt: float, ease: float = 1.0) -> Rates:
     """The rate turned towards the way, as far as the jerk limits let it in a step.
 
-    `length`: s that the way takes at full acceleration; `slope`: see `landing_slope`.
+    `length`: s that the way takes at full acceleration; `slope`: see `landing_slope`. `ease`: share of the jerk
+    by which it rises. It falls by all of it: after a larger share the way may be too short for less.
     """
     gain = min(1.0, _landing_rate(length / dt, slope * dt)) / length if length > 0.0 else 0.0
     change = summed(scaled(way, gain), rate, -1.0)
-    worst = excess(change, jerk) / dt
+    worst = excess(change, jerk) / (dt if ease == 1.0 or dot(change, rate) < 0.0 else dt * ease)
     return summed(rate, change, 1.0 / worst if worst > 1.0 else 1.0)
 
 

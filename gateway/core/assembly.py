@@ -87,7 +87,10 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
 
 def assemble(config: RobotConfig) -> Assembled:
     """The same to be looked at: a robot that its own drive law refuses has plain wheel speeds in place of that."""
-    motors, problems = config.motors_in_order(), [f"settings: {one}" for one in problems_of_file(config.settings)]
+    motors, problems = (
+        config.motors_in_order(),
+        [f"settings: {one}" for one in problems_of_file(config.settings, config.limits.velocity)],
+    )
     kinematics = _made(partial(_kinematics, config.robot), problems)
     groups = _made(partial(_groups, config, motors, ""), problems)
     if groups is None:
@@ -149,7 +152,8 @@ def _made(make: Callable[[], _Made], problems: list[str]) -> _Made | None:
 
 def problems_of(parts: Parts) -> list[str]:
     """What is wrong with the sound parts of a robot file, each looked at by itself, whatever is wrong beside it."""
-    found = [] if parts.settings is None else [f"settings: {one}" for one in problems_of_file(parts.settings)]
+    velocity = None if parts.limits is None else parts.limits.velocity
+    found = [f"settings: {one}" for one in problems_of_file(parts.settings or {}, velocity)]
     if parts.robot is not None:
         found += _tried(partial(_kinematics, parts.robot))
     rate = None if parts.loop is None else parts.loop.rate

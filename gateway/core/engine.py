@@ -15,6 +15,7 @@ the motors left can do is `gateway.core.ability`. Launch will be a drive law's, 
 
 from collections.abc import Sequence
 from functools import partial
+from math import sqrt
 from typing import Final
 
 from drivers.contract import CanFrame, MotorFeedback, MotorState
@@ -22,7 +23,7 @@ from drivers.records import maker
 from gateway.arithmetic import dot, sin_cos
 from gateway.config import RobotConfig
 from gateway.control.drive_law import COAST, JointCommand, Measured, Motion
-from gateway.control.limits import excess, scale_to
+from gateway.control.limits import excess, scale_to, scaled
 from gateway.control.posture import Posture, Stance
 from gateway.control.slip_correction import SlipCorrection
 from gateway.core import snapshot as snapshots
@@ -36,7 +37,7 @@ from gateway.core.motors import Motors
 from gateway.core.odometry import WheelOdometry
 from gateway.core.reporter import Reporter, waiting_for
 from gateway.core.sensors import Readings, Sensors
-from gateway.core.settings import SPEED_OVERRIDE, Settings
+from gateway.core.settings import ANGULAR_SPEED, LINEAR_SPEED, SPEED_OVERRIDE, Settings
 from gateway.core.slip import NO_SLIP, Slip, SlipDetector
 from gateway.core.slip_model import slip_model
 from gateway.core.standstill import Standstill
@@ -130,7 +131,7 @@ class Engine:
         )
         self._trust = JointTrust(robot.kinematics.steered, absolute=robot.absolute, top_speeds=top_speeds)
         self._sensors = Sensors(config.sensor, top_turn=config.limits.velocity.wz, ports=robot.ports)
-        self._settings = Settings(config.settings, robot.law)
+        self._settings = Settings(config.settings, robot.law, config.limits.velocity)
         model = slip_model(config, robot)
         self._slip = None if model is None else SlipDetector(robot.names, model)
         self._correction = SlipCorrection(() if model is None else model.wheels(robot), 1.0 / config.loop.rate)
@@ -653,7 +654,8 @@ class Engine:
                 whole = self._mode is not _DEGRADED
                 aim = self._law.aim(aim, measured, region=region, path_rate=_path_rate(asked), whole=whole)
             ground = self._law.ground(whole=all(health.usable)) if self._grips else None
-            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom, ground=ground)
+            ease = self._settings.ease
+            _, active = self._limiter.step(aim, measured.dt, effort=effort, headroom=headroom, ground=ground, ease=ease)
             limits = (*limits, *overridden, *active, "torque") if headroom < 1.0 else (*limits, *overridden, *active)
         elif braking:
             self._brake(measured, health)
@@ -670,12 +672,22 @@ class Engine:
         return motion.limited_by(limits)
 
     def _overridden(self, target: Rates) -> tuple[Rates, tuple[str, ...]]:
-        """The target within the share of top speed that commands may use; the setpoint goes there within the limits."""
-        share = self._settings.value(SPEED_OVERRIDE)
-        if share >= 1.0:
-            return target, ()
-        allowed = scale_to(target, tuple([share * axis for axis in self._velocity]))
-        return allowed, () if allowed is target else (SPEED_OVERRIDE.name,)
+        """The target within the speeds that settings leave to commands; the setpoint goes there within the limits."""
+        settings = self._settings
+        active: tuple[str, ...] = ()
+        share = settings.value(SPEED_OVERRIDE)
+        allowed = target if share >= 1.0 else scale_to(target, tuple([share * axis for axis in self._velocity]))
+        if allowed is not target:
+            active = (*active, SPEED_OVERRIDE.name)
+        most, vx, vy = settings.held(LINEAR_SPEED), allowed[0], allowed[1]
+        if most is not None and vx * vx + vy * vy > most * most:
+            allowed = scaled(allowed, most / sqrt(vx * vx + vy * vy))
+            active = (*active, LINEAR_SPEED.name)
+        most = settings.held(ANGULAR_SPEED)
+        if most is not None and abs(allowed[2]) > most:
+            allowed = scaled(allowed, most / abs(allowed[2]))
+            active = (*active, ANGULAR_SPEED.name)
+        return allowed, active
 
     def _brake(self, measured: Measured, health: Health) -> None:
         """The setpoint on its way to rest. While no motor follows it waits: they may still do what they were told."""

@@ -11,7 +11,7 @@ from gateway.chassis.contract import LoopLimit
 from gateway.config import Bus, ConfigError, Limits, Parts, RobotConfig, Sensor, survey
 from gateway.control.launch import FRICTION
 from gateway.control.limits import stopping_distance, stopping_time, turning_excess
-from gateway.core.assembly import Robot, assemble, feedback_delay, problems_of
+from gateway.core.assembly import Robot, assemble, build, feedback_delay, problems_of
 from gateway.kinematics.forces import PushTable, force_coupling
 from gateway.kinematics.linear import condition, decompose, diagonal, product, pseudo_inverse, transpose
 from gateway.types import Rates

@@ -57,7 +57,7 @@ OWNERS: Final[Mapping[str, frozenset[str]]] = {
     "gateway.core.odometry.WheelOdometry": frozenset({"_growth", "_kinematics", "_sideways", "_top_speeds"}),
     "gateway.core.joint_trust.JointTrust": frozenset({"_absolute", "_top_speeds"}),
     "gateway.core.sensors.Sensors": frozenset({"_kinds", "_listeners", "_timeouts_ns", "_top_turn"}),
-    "gateway.core.settings.Settings": frozenset(),
+    "gateway.core.settings.Settings": frozenset({"_rows"}),
     "gateway.core.standstill.Standstill": frozenset(),
     "gateway.core.reporter.Reporter": frozenset({"_sources"}),
     "gateway.core.reporter.Due": frozenset({"_period_ns"}),

@@ -42,6 +42,7 @@ from typing import Annotated, Literal, NamedTuple, SupportsFloat, SupportsIndex,
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, ValidationInfo, field_validator
 from pydantic_core import from_json, to_json
 
+from gateway.edges.setting_keys import objection
 from gateway.sections import NAME_PATTERN
 from gateway.types import (
     AbilityStatus,
@@ -402,7 +403,11 @@ def encode_reference(motor: str | None, angle: SupportsFloat) -> bytes:
 def parse_setting(payload: bytes) -> SettingChange | str:
     """What the payload of a `cmd/set` says, or what is wrong with it. Total: no payload raises."""
     try:
-        parsed = _SettingPayload.model_validate(_document(payload))
+        document = _document(payload)
+        key = objection(str(document.get("setting"))) if isinstance(document, dict) else None
+        if key is not None:
+            return key
+        parsed = _SettingPayload.model_validate(document)
     except ValidationError as error:
         return _reason(error, _SettingPayload)[1]
     except _UnreadableError as error:
@@ -411,7 +416,10 @@ def parse_setting(payload: bytes) -> SettingChange | str:
 
 
 def encode_setting(setting: str, value: SupportsFloat) -> bytes:
-    """Payload of a `cmd/set`. Raises like `encode_twist`."""
+    """Payload of a `cmd/set`. Raises like `encode_twist`, and ValueError for a key of the robot file."""
+    key = objection(setting)
+    if key is not None:
+        raise ValueError(key)
     return _checked({"setting": setting, "value": _number("value", value)}, _SettingPayload)
 
 

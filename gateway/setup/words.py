@@ -5,6 +5,7 @@ from typing import Final
 
 from gateway.arithmetic import angle_of
 from gateway.chassis.contract import Chassis
+from gateway.config import RobotConfig
 from gateway.setup.signs import JointSign, WheelSign, signs
 
 UNSEEN: Final = (

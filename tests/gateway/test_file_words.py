@@ -40,7 +40,7 @@ TYPED: list[tuple[Edit, str]] = [
     (('channel = "can0"', 'channel = "can 0"'), "bus[0]: channel = 'can 0': must be the name of a network interface: at most 15 characters, no blank, / or colon: can0"),
     (('channel = "can0"', 'channel = "can0_of_the_left"'), "bus[0]: channel = 'can0_of_the_left': must be the name of a network interface: at most 15 characters, no blank, / or colon: can0"),
     (("left = \"left\"", "left = \"lefd\""), "robot: 'lefd' is no [[motor]]; did you mean 'left'?"),
-    (("[zenoh]", "[settings]\nspeed_overide = 0.5\n[zenoh]"), "settings: 'speed_overide': must be one of speed_override, compensation_gain, compensation_region, friction; did you mean 'speed_override'?"),
+    (("[zenoh]", "[settings]\nspeed_overide = 0.5\n[zenoh]"), "settings: 'speed_overide': must be one of speed_override, linear_speed, angular_speed, acceleration_override, jerk_override, compensation_gain, compensation_region, friction; did you mean 'speed_override'?"),
     (("bitrate = 1_000_000", "bitrate = 1_000"), "bus[0].bitrate = 1000: must be a whole number, 10000 to 1000000 bit/s"),
     (("rate = 250.0", "rate = true"), "loop.rate = True: must be a number, 10 to 1000 Hz"),
     (('watchdog = { timeout = 0.1 }', 'watchdog_waiver = "none"'), "motor[0].watchdog_waiver = 'none': must be a text of 20 to 300 characters"),

@@ -2,9 +2,10 @@
 
 Parameters and node ids written over CAN live in RAM: a power cycle forgets them unless they were saved (Reboot 1).
 That is the device's behaviour and the driver's worst case. 0.5 has no Sdo: its watchdog counts as set over USB and
-saved, and is enabled when the robot file gives one. A write is confirmed by a TxSdo from 0.6.11 on (github odriverobotics/
-ODriveResources, examples/can_param_access.py). Assumed: no reply to a read of an unknown endpoint; another rate of a
-cyclic message acts at once, another bit rate from the next start on; nothing cyclic from one that has no node id.
+saved, and is enabled when the robot file gives one. A write is confirmed by a TxSdo from 0.6.11 on (github
+odriverobotics/ODriveResources, examples/can_param_access.py). Assumed: no reply to a read of an unknown endpoint;
+another rate of a cyclic message acts at once, another bit rate from the next start on; nothing cyclic from one that has
+no node id.
 """
 
 from collections.abc import Callable, Sequence
