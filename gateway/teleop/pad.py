@@ -231,13 +231,13 @@ class Pad:
         self._press, self.why = None, why
 
     def _deflection(self, code: int) -> float:
-        """From the middle of the range, -1 to 1."""
+        """From the middle of the range, which goes from -1 to 1."""
         axis = self.axes[code]
         middle = (axis.minimum + axis.maximum) / 2.0
-        return min(max((axis.value - middle) / (axis.maximum - middle), -1.0), 1.0)
+        return (axis.value - middle) / (axis.maximum - middle)
 
     def _shaped(self, size: float, stick: Stick, codes: tuple[int, ...]) -> float:
-        """0 within the zone of rest, 1 at full deflection (and beyond it, in a corner)."""
+        """0 within the zone of rest, 1 at full deflection and beyond it, as in a corner."""
         deadzone, expo = SHAPES[stick]
         flats = [2.0 * self.axes[code].flat / (self.axes[code].maximum - self.axes[code].minimum) for code in codes]
         rest = min(max(deadzone, *flats), MOST_REST)
