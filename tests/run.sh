@@ -1,5 +1,5 @@
 #!/bin/sh
-# Sets up a test environment in .venv and runs everything: style, types, tests in both forms, the two virtual-machine
+# Sets up a test environment in .venv and runs everything: style, types, tests in both forms, the virtual-machine
 # lanes, the lane that wants the same bytes from another processor, the report page in a real browser, and the experiments
 # of the papers in full.
 set -eu

@@ -40,10 +40,11 @@ ROOMS: dict[str, set[str]] = {
         *("drivers", "drivers/sensors", "ground", "gateway/kinematics", "gateway/chassis", "robot file"),
         "gateway/control",
     },
+    "gateway/teleop": {"ground"},
     "gateway/setup": {
         *("drivers", "drivers/odrive", "ground", "gateway/chassis", "robot file", "gateway/control", "gateway/core"),
     },
-    "gateway/edges": {"drivers", "ground", "robot file", "gateway/core"},
+    "gateway/edges": {"drivers", "ground", "robot file", "gateway/core", "gateway/teleop"},
     "gateway/recording": {"drivers", "ground", "gateway/chassis", "robot file", "gateway/core", "gateway/edges"},
     "entrance": {
         "drivers",
@@ -64,6 +65,7 @@ ROOMS: dict[str, set[str]] = {
         "replay/sim/sensors",
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
+    "replay/sharing": {"ground", "gateway/recording", "replay/sessions"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
     "replay/report": {
         *("ground", "gateway/chassis", "robot file", "gateway/core", "replay/sessions", "replay/compare"),
@@ -106,7 +108,7 @@ COMPOSITION_ROOT = "gateway/cli"  # imports whatever it puts together; nobody bu
 PURE = (
     *("drivers", "drivers/odrive", "drivers/sensors", "ground", "robot file"),
     *("gateway/kinematics", "gateway/chassis", "gateway/control", "gateway/core", "gateway/paths", "gateway/words"),
-    "gateway/setup",
+    *("gateway/setup", "gateway/teleop"),
 )
 IMPURE = {"can", "multiprocessing", "os", "rerun", "signal", "socket", "subprocess", "threading", "time", "zenoh"}
 # Simulation and sessions are pure too, but for what opens files, sockets or processes.

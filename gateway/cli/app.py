@@ -23,6 +23,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "explain": "explain",
     "format": "format",
     "doctor": "doctor",
+    "report": "report",
     "drive": "drive",
     "send": "operate",
     "path": "path",

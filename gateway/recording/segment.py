@@ -54,9 +54,9 @@ _PIECE = 1 << 20  # read at a time
 
 
 class Segment:
-    """Opened on construction, header first. Raises RecordingOffError, OSError."""
+    """Opened on construction, header first; `views` None: nothing is drawn. Raises RecordingOffError, OSError."""
 
-    def __init__(self, path: Path, *, header: Header, views: Views, blueprint: rrb.Blueprint) -> None:
+    def __init__(self, path: Path, *, header: Header, views: Views | None, blueprint: rrb.Blueprint | None) -> None:
         self.path = path
         self._views = views
         self._recording = rr.RecordingStream(APPLICATION_ID, recording_id=header.session, send_properties=False)
@@ -77,7 +77,8 @@ class Segment:
         self._undrawn: list[Record] = []
         self._undrawn_gaps: list[Gap] = []
         self._send_header(header, text)
-        views.begin(self._recording, header.config_text)
+        if views is not None:
+            views.begin(self._recording, header.config_text)
         self.flush()
 
     def write(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
@@ -101,6 +102,8 @@ class Segment:
 
     def _draw_later(self, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
         """Pictures follow from what is written, and may be lost with the process: they come a second at a time."""
+        if self._views is None:
+            return
         if gaps:  # they are drawn in front of the first cycle behind them
             self._draw()
         self._undrawn += records
@@ -109,7 +112,7 @@ class Segment:
             self._draw()
 
     def _draw(self) -> None:
-        if not self._undrawn:
+        if self._views is None or not self._undrawn:
             return
         records, gaps = self._undrawn, self._undrawn_gaps
         self._undrawn, self._undrawn_gaps = [], []

@@ -5,18 +5,13 @@ from math import inf
 from typing import cast
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from gateway.cli.drive import KEYS, QUIT_KEYS, RELEASE_S, RESET_KEY, STOP_KEY, Keys
 from gateway.cli.operate import STALE_S, _present, _stopped, is_refusal, mode_words, source_words
 from gateway.client import Client
 from gateway.commander import objection, rest, start, stream, unrested
 from gateway.edges.messages import EventMessage, StateMessage
 from gateway.types import ZERO_TWIST, Level, Mode, SourceStatus, Twist
 from tests.gateway.test_messages import STATUS
-
-SCALE = Twist(0.3, 0.3, 0.6)
 
 
 @dataclass
@@ -57,43 +52,6 @@ def _client(fake: FakeClient) -> Client:
 def _state(mode: Mode, *, winner: str | None = "teleop", reason: str | None = None) -> StateMessage:
     sources = (SourceStatus("teleop", 0.1, None if winner == "teleop" else f"outranked by {winner}"),)
     return StateMessage(0.0, STATUS._replace(mode=mode, winner=winner, reason=reason, sources=sources), {})
-
-
-# keys
-
-
-def test_a_held_key_drives_until_its_repeats_stop() -> None:
-    keys = Keys(SCALE)
-    keys.press("w", 0.0)
-    assert keys.twist == Twist(0.3, 0.0, 0.0)
-    keys.press("", RELEASE_S)
-    assert keys.twist == Twist(0.3, 0.0, 0.0)
-    keys.press("", RELEASE_S + 0.01)
-    assert keys.twist == ZERO_TWIST
-
-
-@pytest.mark.parametrize(
-    ("read", "twist"),
-    [("wwq", Twist(0.0, 0.0, 0.6)), ("qw ", ZERO_TWIST), ("w\x1b[D", Twist(0.3, 0.0, 0.0)), ("www!", ZERO_TWIST)],
-)
-def test_of_several_keys_in_one_read_the_last_that_moves_counts(read: str, twist: Twist) -> None:
-    keys = Keys(SCALE)
-    keys.press(read, 0.0)
-    assert keys.twist == twist
-
-
-@given(st.text("".join(KEYS) + STOP_KEY + RESET_KEY + "".join(QUIT_KEYS), max_size=20))
-def test_a_stop_key_anywhere_in_a_read_wins(read: str) -> None:
-    keys = Keys(SCALE)
-    keys.press("w", 0.0)
-    keys.press(read, 0.01)
-    assert keys.stop is (STOP_KEY in read)
-    assert keys.quit is bool(QUIT_KEYS & set(read))
-    assert keys.reset is (RESET_KEY in read and STOP_KEY not in read)
-    if keys.stop:
-        assert keys.twist == ZERO_TWIST
-    keys.press("", 0.02)
-    assert not (keys.stop or keys.reset or keys.quit), "asked once"
 
 
 # words

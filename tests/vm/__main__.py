@@ -1,4 +1,4 @@
-"""Runs the tests that need a CAN kernel (lane vcan) or a booted systemd (lane systemd)."""
+"""Runs the tests that need a CAN kernel (lane vcan), a booted systemd (systemd) or input devices (input)."""
 
 import argparse
 import os
@@ -30,7 +30,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--install", action="store_true", help="only install missing Debian packages (as root)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave junit.xml and the logs of each lane here")
     parser.add_argument("--limit", type=float, default=600.0, metavar="SECONDS", help="a lane is killed after this")
-    parser.add_argument("lane", nargs="?", choices=LANES, help="default: both, one after the other")
+    parser.add_argument("lane", nargs="?", choices=LANES, help="default: all, one after the other")
     parser.add_argument("pytest", nargs=argparse.REMAINDER, help="passed to pytest, e.g. -k name or a file")
     return parser
 

@@ -44,10 +44,17 @@ make_vcan0() {
     ip link set vcan0 up
 }
 
+add_modules() { # those that the lane has built
+    for module in "$DG_RUN"/*.ko; do
+        [ ! -e "$module" ] || insmod "$module" || die "no $module"
+    done
+}
+
 mount -t proc proc /proc
 make_root
 enter_root
 make_vcan0
+add_modules
 [ "$DG_INIT" = systemd ] && . "$DG_RUN/systemd.sh"
 sh "$DG_RUN/command" # writes the status, powers off
 die "the command did not power off"

@@ -23,7 +23,7 @@ from time import monotonic
 from typing import IO, NamedTuple
 from xml.etree import ElementTree
 
-from tests.vm import packages, xstate
+from tests.vm import input_modules, packages, xstate
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -54,13 +54,13 @@ def tools(lane: str) -> Mapping[str, str]:
     """What this lane needs on this host, and the package of each."""
     if not in_machine(lane):
         return packages.HOST_TOOLS
-    needed = packages.SYSTEMD_TOOLS if lane == "systemd" else packages.MACHINE_TOOLS
+    needed = packages.MACHINE_TOOLS | {"systemd": packages.SYSTEMD_TOOLS, "input": packages.MODULE_TOOLS}.get(lane, {})
     return needed | packages.COMPILER_TOOLS if _preload_needed() else needed
 
 
 def in_machine(lane: str) -> bool:
     """Whether this lane runs in User-Mode Linux on this host."""
-    return lane == "systemd" or not _host_has_vcan()
+    return lane != "vcan" or not _host_has_vcan()
 
 
 @functools.cache
@@ -91,6 +91,11 @@ def run_lane(lane: str, *, pytest_arguments: Sequence[str], limit_s: float, keep
         (keep / lane).mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="drivegate-vm-") as directory:
         run = Path(directory)
+        if lane == "input":
+            try:
+                input_modules.build(run)
+            except input_modules.BuildError as error:
+                return Result(lane, passed=False, text=str(error))
         where = _run(lane, pytest_arguments, run, limit_s)
         if keep is not None:
             _keep(run, keep / lane)

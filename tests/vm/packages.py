@@ -12,6 +12,11 @@ HOST_TOOLS = {"ip": "iproute2", "tc": "iproute2", "candump": "can-utils", "canse
 MACHINE_TOOLS = HOST_TOOLS | {"linux.uml": "user-mode-linux", "insmod": "kmod"}
 SYSTEMD_TOOLS = MACHINE_TOOLS | {"systemctl": "systemd", "systemd": "systemd", "udevadm": "udev"}
 COMPILER_TOOLS = {"cc": "gcc", "/usr/include/elf.h": "libc6-dev"}
+KERNEL_SOURCE = "/usr/src/linux-source-6.1.tar.xz"
+MODULE_TOOLS = COMPILER_TOOLS | {
+    **{KERNEL_SOURCE: "linux-source-6.1", "make": "make", "flex": "flex", "bison": "bison"},
+    **{"bc": "bc", "xz": "xz-utils", "ld": "binutils"},
+}
 
 
 def missing(tools: Mapping[str, str]) -> list[str]:

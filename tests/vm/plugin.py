@@ -1,10 +1,10 @@
-"""Pytest: tests marked vcan or systemd run only in their lane (`python -m tests.vm`), elsewhere they are deselected."""
+"""Pytest: tests marked for a lane of `python -m tests.vm` run only in that lane, elsewhere they are deselected."""
 
 from pathlib import Path
 
 import pytest
 
-LANES = ("vcan", "systemd")
+LANES = ("vcan", "systemd", "input")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,0 +1,1 @@
+"""What may be given to strangers: text and recordings without secrets and names."""
