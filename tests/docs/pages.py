@@ -6,6 +6,7 @@ A fenced block may have markers in the lines in front of it, comments that no re
 
     <!-- covered: tests/vm/test_systemd_drive.py -->   it cannot run here, and this test covers it
     <!-- terminal: 1 -->                               runs in a terminal of its own, until the page ends
+    <!-- ended: 1 -->                                  in front of it, that terminal got a Ctrl-C
     <!-- exit: 1 -->                                   ends with this code
     <!-- file: square.toml -->                         is a file of this name
 
@@ -19,7 +20,7 @@ from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).parent.parent.parent
 DOCS: Final = ROOT / "deploy" / "docs"
-MARKERS: Final = ("covered", "terminal", "exit", "file")
+MARKERS: Final = ("covered", "terminal", "ended", "exit", "file")
 _MARKER: Final = re.compile(r"^<!-- (\w+): (.+?) -->$")
 _FENCE: Final = re.compile(r"^(`{3,})(\w*)(.*)$")
 

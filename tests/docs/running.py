@@ -60,10 +60,12 @@ def run_blocks(page: Path, folder: Path) -> int:
     here.mkdir()
     with _terminals() as terminals:
         for block in found:
+            if "ended" in block.markers:
+                _end(terminals.pop(block.markers["ended"]))
             if "file" in block.markers:
                 (here / block.markers["file"]).write_text(block.text, encoding="utf-8")
             elif "terminal" in block.markers:
-                terminals.append(_begun(block, here, environment))
+                terminals[block.markers["terminal"]] = _begun(block, here, environment)
             else:
                 _done(block, here, environment)
     return len(found)
@@ -113,22 +115,27 @@ def _begun(block: Block, here: Path, environment: dict[str, str]) -> subprocess.
 
 
 @contextmanager
-def _terminals() -> Iterator[list[subprocess.Popen[bytes]]]:
+def _terminals() -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     """Each ends with a Ctrl-C. Raises BlockError for one that does not, or had ended before."""
-    running: list[subprocess.Popen[bytes]] = []
+    running: dict[str, subprocess.Popen[bytes]] = {}
+    begun = running.values()
     try:
         yield running
-        for process in running:
-            if process.poll() is not None:
-                raise BlockError(f"a terminal of its own had ended with {process.returncode}")
-            os.killpg(process.pid, signal.SIGINT)
-            if process.wait(END_S) not in ENDINGS:
-                raise BlockError(f"a terminal of its own ended with {process.returncode}")
+        for process in begun:
+            _end(process)
     finally:
-        for process in running:
+        for process in begun:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)
+        process.wait(END_S)
+    if process.returncode not in ENDINGS:
+        raise BlockError(f"a terminal of its own ended with {process.returncode}")
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -24,9 +24,10 @@ from tests.docs.pages import DOCS, ROOT
 
 SETTINGS: Final = DOCS.parent / "mkdocs.yml"
 IMAGES: Final = DOCS.parent / "images"
-_PART: Final = re.compile(r"^<!-- (generated|included): (.+?) -->$", re.MULTILINE)
+_PART: Final = re.compile(r"^<!-- (generated|included|readme): (.+?) -->$", re.MULTILINE)
 _FORMULA: Final = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _CODE: Final = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+_FUNCTION: Final = re.compile(r"(<mi>(?:sin|cos|tan|arcsin)</mi>)(?!<mo)")  # a space behind it, which is not made
 _INLINE: Final = re.compile(r"\$([^$\n]+)\$")
 
 
@@ -42,10 +43,26 @@ def filled(text: str) -> str:
 def _part(kind: str, words: str) -> str:
     if kind == "included":
         return (ROOT / words).read_text(encoding="utf-8")
+    if kind == "readme":
+        return _of_readme(*words.split(" | "))
     name, *arguments = words.split()
     if name not in PARTS:
         raise SiteError(f"generated: {name}: there is {', '.join(PARTS)}")
     return PARTS[name](*arguments)
+
+
+def _of_readme(title: str, first: str = "", end: str = "") -> str:
+    """A section of the README, or of it the lines from the one that begins with `first` until before `end`."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").replace("](deploy/images/", "](../images/")
+    found = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    lines = [] if found is None else found[0].splitlines()
+    begin = next((at for at, line in enumerate(lines) if line.startswith(first)), None)
+    if begin is None:
+        raise SiteError(f"the README has no section {title!r}, or no line in it that begins with {first!r}")
+    until = next((at for at, line in enumerate(lines) if end and at > begin and line.startswith(end)), None)
+    if end and until is None:
+        raise SiteError(f"section {title!r} of the README has no line that begins with {end!r}")
+    return "\n".join(lines[begin:until])
 
 
 def _formulae(text: str) -> str:
@@ -57,7 +74,7 @@ def _formulae(text: str) -> str:
 
 def _math(latex: str, *, display: str) -> str:
     made: str = convert(latex.strip(), display=display)
-    return made
+    return _FUNCTION.sub(r'\1<mspace width="0.17em"/>', made)
 
 
 def build(folder: Path) -> Path:

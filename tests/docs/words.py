@@ -17,7 +17,7 @@ LEAVES: Final = {leaf.words: leaf.command for leaf in leaves()}
 GROUPS: Final = {words[:-1] for words in LEAVES if len(words) > 1}
 OF_ITSELF: Final = ("--version", "--help")
 _BEFORE: Final = ("sudo", "&&", ";", "|", "!", "timeout")
-_BEHIND: Final = ("&", "&&", ";", "|", ">", "||")
+_BEHIND: Final = re.compile(r"[&|;>]|2>")
 _LEFT_OUT: Final = re.compile(r"[A-Z]{2,}|…|\.\.\.|\[|\|")  # placeholders of a mention
 
 
@@ -31,7 +31,7 @@ def commands(block: Block) -> Iterator[list[str]]:
         for at, word in enumerate(words):
             if word == COMMAND and (at == 0 or words[at - 1] in _BEFORE):
                 rest = words[at + 1 :]
-                yield rest[: next((end for end, one in enumerate(rest) if one in _BEHIND), len(rest))]
+                yield rest[: next((end for end, one in enumerate(rest) if _BEHIND.match(one)), len(rest))]
 
 
 def wrong(words: Sequence[str]) -> str | None:
