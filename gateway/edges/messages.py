@@ -6,6 +6,8 @@
 | `sensor/<name>`      | put        | by the sensor's kind, see below                                                |
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
+| `cmd/stand_up`       | get        | of a robot that balances: stands up with the next zero; reply as to a reset    |
+| `cmd/let_down`       | get        | of a robot that balances: lets go within 1 s; reply as to a reset              |
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
 | `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
 | `cmd/mark`           | get        | `{"text": words}`, an event and an incident of their own; reply as to a reset  |

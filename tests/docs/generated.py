@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from math import pi
-from typing import Any, Final, NamedTuple, get_args, get_type_hints
+from typing import Final, NamedTuple, get_args, get_type_hints
 
-from typer.core import TyperArgument, TyperCommand, TyperGroup
+from pydantic import BaseModel
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
 from gateway import robot_files
@@ -22,7 +23,7 @@ from gateway.config import RobotConfig, load
 from gateway.edges import messages
 from gateway.file_keys import Rule, rules
 from gateway.words import TABLES, TITLES
-from tests.docs.pages import DOCS
+from tests.docs.pages import DOCS, ROOT
 
 COMMAND: Final = "drivegate"
 TERMINAL: Final = DOCS / "terminal"
@@ -49,7 +50,9 @@ def robot_file() -> str:
     for rule in every:
         kind = "" if rule.chassis is None or same[rule._replace(chassis=None)] == len(CHASSIS) else rule.chassis
         of = sections.setdefault(f"{rule.key.split('.')[0]}{f', of {kind}' if kind else ''}", [])
-        of += [] if kind == "" and rule._replace(chassis=None) in of else [rule if kind else rule._replace(chassis=None)]
+        of += (
+            [] if kind == "" and rule._replace(chassis=None) in of else [rule if kind else rule._replace(chassis=None)]
+        )
     return "\n\n".join(f"### {title}\n\n{_keys(found)}" for title, found in sections.items())
 
 
@@ -98,7 +101,9 @@ def _command(leaf: Leaf) -> str:
     assert command.callback is not None
     kinds = get_type_hints(inspect.unwrap(command.callback))
     arguments = [f"{one.name}".upper() for one in command.params if isinstance(one, TyperArgument)]
-    rows = [_parameter(one, kinds[str(one.name)]) for one in command.params]
+    rows = [
+        _parameter(one, kinds[str(one.name)]) for one in command.params if isinstance(one, TyperArgument | TyperOption)
+    ]
     return "\n\n".join(
         [
             f"### {called}",
@@ -109,12 +114,14 @@ def _command(leaf: Leaf) -> str:
     )
 
 
-def _parameter(one: Any, kind: object) -> tuple[str, str, str]:
+def _parameter(one: TyperArgument | TyperOption, kind: object) -> tuple[str, str, str]:
     names = str(one.name).upper() if isinstance(one, TyperArgument) else ", ".join([*one.opts, *one.secondary_opts])
     choices = [str(one.value) for one in _choices(kind)]
     words = " ".join((one.help or "").split())
     allowed = f" One of {', '.join(map(_code, choices))}." if choices else ""
-    told = "" if one.default is None or isinstance(one.default, bool) else str(getattr(one.default, "value", one.default))
+    told = (
+        "" if one.default is None or isinstance(one.default, bool) else str(getattr(one.default, "value", one.default))
+    )
     return _code(names), f"{words}{allowed}", "**required**" if one.required else _code(told)
 
 
@@ -145,7 +152,7 @@ def codes() -> str:
 
 # -- Zenoh ------------------------------------------------------------------------------------------------------------
 
-_SENT: Final = {
+_SENT: Final[Mapping[str, type[BaseModel]]] = {
     "A twist": messages._TwistPayload,
     "A heading": messages._HeadingPayload,
     "An attitude": messages._AttitudePayload,
@@ -154,7 +161,7 @@ _SENT: Final = {
     "A setting": messages._SettingPayload,
     "A mark": messages._MarkPayload,
 }
-_TOLD: Final[Mapping[str, Any]] = {
+_TOLD: Final[Mapping[str, type]] = {
     "odometry": messages.OdometryMessage,
     "event": messages.EventMessage,
     "truth": messages.TruthMessage,
@@ -180,7 +187,7 @@ def zenoh_sent() -> str:
     return "\n\n".join(f"### {title}\n\n{_payload(model)}" for title, model in _SENT.items())
 
 
-def _payload(model: Any) -> str:
+def _payload(model: type[BaseModel]) -> str:
     rows = []
     for key, field in model.model_fields.items():
         left_out = "**required**" if field.is_required() else _code(str(field.default).replace("None", "null"))
@@ -193,14 +200,14 @@ def zenoh_told() -> str:
     return "\n\n".join(f"### `{title}`\n\n{_fields(kind)}" for title, kind in _TOLD.items())
 
 
-def _fields(kind: Any) -> str:
+def _fields(kind: type) -> str:
     said = _comments(kind)
     # A robot tells its motors in lists and its numbers in JSON: a tuple is a list, None is null.
     rows = [(_code(key), _form(form), said.get(key, "")) for key, form in _forms(kind).items()]
     return f"{inspect.cleandoc(kind.__doc__ or '')}\n\n{table(('field', 'form', 'what it is'), rows)}"
 
 
-def _forms(kind: Any) -> dict[str, str]:
+def _forms(kind: type) -> dict[str, str]:
     tree = ast.parse(inspect.getsource(kind)).body[0]
     assert isinstance(tree, ast.ClassDef)
     return {
@@ -217,7 +224,7 @@ def _form(annotation: str) -> str:
     return words.replace(" | ", " or ")
 
 
-def _comments(kind: Any) -> dict[str, str]:
+def _comments(kind: type) -> dict[str, str]:
     """The comment behind each field."""
     found: dict[str, str] = {}
     name = ""
@@ -278,6 +285,32 @@ def terminal(robot: str) -> str:
     return f"```text\n{kept.rstrip()}\n```"
 
 
+def source(file: str, *names: str) -> str:
+    """What a file of the project defines under these names, as it stands there."""
+    text = (ROOT / file).read_text(encoding="utf-8")
+    lines = text.splitlines()
+    found = {name: node for node in ast.parse(text).body for name in _defined(node)}
+    shown = []
+    for name in names:
+        node = found[name]
+        begin = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", ()))])
+        shown.append("\n".join(lines[begin - 1 : node.end_lineno]))
+    gaps = ["\n" if shorter.count("\n") == 0 else "\n\n\n" for shorter in shown[:-1]]
+    whole = "".join(part + gap for part, gap in zip(shown, [*gaps, ""], strict=True))
+    return f"```python\n{whole}\n```"
+
+
+def _defined(node: ast.stmt) -> list[str]:
+    match node:
+        case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
+            return [name]
+        case ast.Assign(targets=[ast.Name(id=name)]):
+            return [name]
+        case ast.Assign(targets=[ast.Tuple(elts=several)]):
+            return [one.id for one in several if isinstance(one, ast.Name)]
+    return []
+
+
 PARTS: Final[dict[str, Callable[..., str]]] = {
     "robot_file": robot_file,
     "command_line": command_line,
@@ -289,4 +322,5 @@ PARTS: Final[dict[str, Callable[..., str]]] = {
     "wheel_speeds": wheel_speeds,
     "bundled_robots": bundled_robots,
     "terminal": terminal,
+    "source": source,
 }

@@ -2,8 +2,8 @@
 
 How this works
 --------------
-Pages are Markdown for any reader of Markdown. What they leave to be filled in, lines such as `<!-- generated: codes -->`
-and formulae, is filled in here, so that the builder of the site is a matter of one call and one `mkdocs.yml`: plain
+Pages are Markdown for any reader of it. What they leave to be filled in, lines such as `<!-- generated: codes -->` and
+formulae, is filled in here, so that the builder of the site is a matter of one call and one `mkdocs.yml`: plain
 Markdown with few extensions. Formulae become MathML, which browsers draw by themselves.
 """
 
@@ -144,7 +144,9 @@ def broken(site: Path) -> Iterator[str]:
             elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].places:
                 yield f"{where}: no such place: {link}"
     for sheet in site.rglob("*.css"):
-        fetched = re.findall(r"url\(['\"]?(?:https?:)?//[^)]*\)|@import[^;]*//[^;]*;", sheet.read_text(encoding="utf-8"))
+        fetched = re.findall(
+            r"url\(['\"]?(?:https?:)?//[^)]*\)|@import[^;]*//[^;]*;", sheet.read_text(encoding="utf-8")
+        )
         yield from (f"{sheet.relative_to(site)} loads {one}" for one in fetched)
 
 

@@ -3,17 +3,18 @@
 How this works
 --------------
 A person answers by what a question says, and looks at the wheels. What the terminal shows is kept in
-`deploy/docs/terminal`; the call writes it anew, and a test holds what comes out now against it, without what differs from
-one day to the next.
+`deploy/docs/terminal`; the call writes it anew, and `tests.docs` holds what comes out now against it, but for what
+differs from day to day.
 """
 
-import os
+import argparse
 import re
 import shlex
 import struct
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from difflib import unified_diff
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -193,14 +194,33 @@ def _measured(line: str) -> bool:
     return bool(re.match(r"at x |.*(cycle|frame)", line))
 
 
+def kept(name: str) -> Path:
+    """Where a story is kept."""
+    return TERMINAL / f"{name}.txt"
+
+
+def changed(name: str) -> Iterator[str]:
+    """The lines in which a story comes out otherwise than it is kept."""
+    before, now = (normal(text).splitlines() for text in (kept(name).read_text(encoding="utf-8"), told(name)))
+    yield from unified_diff(before, now, f"{name}, as it is kept", f"{name}, as it comes out", lineterm="", n=1)
+
+
 def main() -> int:
-    """Every story, written down."""
-    TERMINAL.mkdir(exist_ok=True)
-    for name in sys.argv[1:] or STORIES:
-        (TERMINAL / f"{name}.txt").write_text(told(name).rstrip() + "\n", encoding="utf-8")
-    return 0
+    """Writes every story down; with --check it is 1 where one comes out otherwise than it is kept."""
+    parser = argparse.ArgumentParser(prog="python -m tests.docs.three_robots", description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing, and tell what differs from what is kept")
+    parser.add_argument("name", nargs="*", help=f"of {', '.join(STORIES)}; default: all")
+    wanted = parser.parse_args()
+    differing = 0
+    for name in wanted.name or STORIES:
+        if wanted.check:
+            lines = list(changed(name))
+            differing += bool(lines)
+            sys.stdout.writelines(f"{line}\n" for line in lines)
+        else:
+            kept(name).write_text(told(name).rstrip() + "\n", encoding="utf-8")
+    return 1 if differing else 0
 
 
 if __name__ == "__main__":
-    os.chdir(ROOT)
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""A chassis that is not one of ours: three omni wheels around the middle, told by two lengths. The documentation shows it.
+"""A chassis that is not one of ours, which the documentation shows: three omni wheels, told by two lengths.
 
 It has nothing but what every chassis must have, and is driven by `test_example_chassis.py`.
 """
