@@ -239,15 +239,15 @@ class Mark(NamedTuple):
 class OdometryMessage(NamedTuple):
     """Odometry as it travels; see the table above."""
 
-    t: float
-    x: float
-    y: float
-    theta: float
-    vx: float | None
-    vy: float | None
-    wz: float | None
-    covariance: tuple[float, ...]
-    residual: float | None
+    t: float  # s
+    x: float  # m, in `odom`, which begins where the service did
+    y: float  # m
+    theta: float  # rad
+    vx: float | None  # m/s, of the body; None: not measurable now
+    vy: float | None  # m/s
+    wz: float | None  # rad/s
+    covariance: tuple[float, ...]  # of x, y and theta: nine numbers, row by row
+    residual: float | None  # m/s; None where the wheels carry no redundancy
 
 
 class StateMessage(NamedTuple):

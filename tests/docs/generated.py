@@ -3,13 +3,13 @@
 import ast
 import inspect
 import io
-import re
 import tokenize
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from math import pi
-from typing import Final, NamedTuple, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Final, NamedTuple, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
@@ -202,26 +202,27 @@ def zenoh_told() -> str:
 
 def _fields(kind: type) -> str:
     said = _comments(kind)
-    # A robot tells its motors in lists and its numbers in JSON: a tuple is a list, None is null.
-    rows = [(_code(key), _form(form), said.get(key, "")) for key, form in _forms(kind).items()]
+    rows = [(_code(key), _form(hint), said.get(key, "")) for key, hint in get_type_hints(kind).items()]
     return f"{inspect.cleandoc(kind.__doc__ or '')}\n\n{table(('field', 'form', 'what it is'), rows)}"
 
 
-def _forms(kind: type) -> dict[str, str]:
-    tree = ast.parse(inspect.getsource(kind)).body[0]
-    assert isinstance(tree, ast.ClassDef)
-    return {
-        line.target.id: ast.unparse(line.annotation)
-        for line in tree.body
-        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
-    }
+_FORMS: Final = {float: "number", int: "whole number", str: "text", bool: "true or false", NoneType: "null"}
 
 
-def _form(annotation: str) -> str:
-    words = re.sub(r"tuple\[(.+), \.\.\.\]", r"list of \1", annotation).replace("tuple[", "list[")
-    for old, new in (("None", "null"), ("float", "number"), ("str", "text"), ("int", "whole number")):
-        words = re.sub(rf"\b{old}\b", new, words)
-    return words.replace(" | ", " or ")
+def _form(hint: object) -> str:
+    """A type as it is in JSON: a tuple is a list, a named one an object."""
+    inside = get_args(hint)
+    if isinstance(hint, UnionType):
+        return " or ".join(map(_form, inside))
+    if get_origin(hint) is tuple:
+        words = _form(inside[0])
+        return f"list of ({words})" if " or " in words else f"list of {words}"
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return "one of " + ", ".join(_code(str(one.value)) for one in hint)
+    names = getattr(hint, "_fields", None)
+    if names is not None:
+        return "{" + ", ".join(map(_code, names)) + "}"
+    return _FORMS.get(hint, "object") if isinstance(hint, type) else "object"
 
 
 def _comments(kind: type) -> dict[str, str]:
@@ -232,7 +233,7 @@ def _comments(kind: type) -> dict[str, str]:
         if token.type == tokenize.NAME and token.line.split(":")[0].strip() == token.string:
             name = token.string
         elif token.type == tokenize.COMMENT and name and token.line.strip().startswith(name):
-            found[name] = token.string.lstrip("# ")
+            found[name] = token.string.lstrip("# ").replace("None", "null")
     return found
 
 
