@@ -3,12 +3,13 @@
 It gets its files by an address that is nobody's, answered from the disk, so that whatever else is asked for is seen.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, Route
+from playwright.sync_api import Browser, Error, Page, Route
 
 from tests.browser.debian import browser
 
@@ -16,8 +17,13 @@ ADDRESS: Final = "http://site.invalid"
 SIZES: Final = ((1280, 900), (390, 844))
 THEMES: Final = ("light", "dark")
 SOUGHT: Final = "fault_stall"
+FOUND: Final = re.compile(r"[1-9]\d* results")
+WAIT_MS: Final = 20_000
 WIDER: Final = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-FORMULAE: Final = "[...document.querySelectorAll('math')].filter(one => one.getBoundingClientRect().width < 1).length"
+FORMULAE: Final = (
+    "[...document.querySelectorAll('math')]"
+    ".filter(one => one.getBoundingClientRect().width < 1 || !one.closest('p, li, td, .formula')).length"
+)
 IMAGES: Final = "[...document.images].filter(one => one.naturalWidth < 1).map(one => one.src)"
 
 
@@ -62,15 +68,20 @@ def _looks(page: Page) -> Iterator[str]:
     if (wider := page.evaluate(WIDER)) > 0:
         yield f"{wider} px wider than the screen"
     if hidden := page.evaluate(FORMULAE):
-        yield f"{hidden} formulae are not drawn"
+        yield f"{hidden} formulae are not drawn, or not in their place"
     yield from (f"no picture at {source}" for source in page.evaluate(IMAGES))
 
 
 def _searched(at: Browser, site: Path) -> Iterator[str]:
     """A word that is on a page is found."""
     page, said = _opened(at, site, "index.html", THEMES[0], SIZES[0])
-    page.keyboard.press("Control+k")
-    page.keyboard.type(SOUGHT)
-    page.get_by_text(SOUGHT).first.wait_for(timeout=20_000)
+    try:
+        page.keyboard.press("Control+k")
+        field = page.locator("input:visible").first
+        field.wait_for(timeout=WAIT_MS)
+        field.fill(SOUGHT)
+        page.get_by_text(FOUND).wait_for(timeout=WAIT_MS)
+    except Error as error:
+        yield f"{SOUGHT} is not found: {error.message.splitlines()[0]}"
     yield from said
     page.close()

@@ -68,7 +68,10 @@ def _of_readme(title: str, first: str = "", end: str = "") -> str:
 def _formulae(text: str) -> str:
     text = _FORMULA.sub(lambda found: f'<div class="formula">{_math(found[1], display="block")}</div>', text)
     pieces = _CODE.split(text)  # every second one is code
-    pieces[::2] = [_INLINE.sub(lambda found: _math(found[1], display="inline"), piece) for piece in pieces[::2]]
+    # Within a span: a line that begins with a formula would be no paragraph.
+    pieces[::2] = [
+        _INLINE.sub(lambda found: f"<span>{_math(found[1], display='inline')}</span>", piece) for piece in pieces[::2]
+    ]
     return "".join(pieces)
 
 

@@ -158,6 +158,7 @@ def test_links_in_the_repository() -> None:
 def test_formulae_become_mathml_and_code_does_not() -> None:
     filled = site.filled("a $x_i$ `$HOME`\n```sh\necho $HOME $PATH\n```\n```math\n\\frac{1}{2}\n```\n")
     assert filled.count("<math") == 2
+    assert site.filled("$x$ begins a line").startswith("<span><math")
     assert "`$HOME`" in filled
     assert "echo $HOME $PATH" in filled
 
