@@ -2,9 +2,10 @@
 
 How this works
 --------------
-The robot of the file TRUE is on python-can's virtual bus of this process, in a thread, while the command runs: with its
-wheels in the air for `setup`, on them for `run`. What a person standing beside it would see, how far each motor has
-turned, is in the file EYES, a double for each, in the order of the chassis.
+For `setup` the robot of the file TRUE is on python-can's virtual bus of this process, in a thread, with its wheels in
+the air. What a person standing beside it would see, how far each motor has turned, is in the file EYES, a double for
+each, in the order of the chassis. For `run` it is on its wheels, and on the bus of the service itself, as the simulated robot of
+`--simulate` is, so that a busy machine makes no motor silent.
 """
 
 import struct
@@ -14,21 +15,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 from typing import Final
+from unittest.mock import patch
 
 import can
 
 from gateway.cli import main
+from gateway.cli import run as run_module
 from gateway.config import RobotConfig, load
+from replay.sim.bus import SimulatedBus
 from replay.sim.controllers.contract import STEP_NS
-from replay.sim.plants import plant_of
 from replay.sim.plants.contract import Plant
+from replay.sim.robot import SimulatedRobot
 from replay.sim.server import SimulationServer
 from tests.lifted import LiftedPlant
 
 TICK_NS: Final = 2 * STEP_NS
 LOOK_S: Final = 0.02
-LIFTED: Final = "setup"
-ON_WHEELS: Final = "run"
 
 
 @contextmanager
@@ -38,9 +40,12 @@ def standing(config: RobotConfig, plant: Plant, eyes: Path) -> Iterator[None]:
     bus = can.Bus(interface="virtual", channel=config.bus[0].channel)
     server = SimulationServer(config, {config.bus[0].name: bus}, tick_ns=TICK_NS, plant=plant)
 
+    new = eyes.with_suffix(".new")
+
     def look() -> None:
         while not ended.wait(LOOK_S):
-            eyes.write_bytes(struct.pack(f"{len(plant.angles)}d", *plant.angles))
+            new.write_bytes(struct.pack(f"{len(plant.angles)}d", *plant.angles))
+            new.replace(eyes)  # whoever looks sees all of it
 
     threads = [Thread(target=server.run, args=(ended,)), Thread(target=look)]
     for thread in threads:
@@ -58,13 +63,17 @@ def call(arguments: Sequence[str]) -> None:
     """The command, with the robot beside it where it needs one."""
     true, eyes, command, *rest = arguments
     sys.argv = [command, *rest]
-    if rest[:1] not in ([LIFTED], [ON_WHEELS]) or rest[:2] == [LIFTED, "new"]:
-        main()
-        return
-    config, _ = load(Path(true))
-    plant = LiftedPlant(config) if rest[0] == LIFTED else plant_of(config.robot)
-    with standing(config, plant, Path(eyes)):
-        main()
+    match rest:
+        case ["run", *_]:
+            config, _ = load(Path(true))
+            with patch.object(run_module, "CanBuses", lambda _: SimulatedBus(config, SimulatedRobot(config))):
+                main()
+        case ["setup", "scan" | "directions" | "jog", *_]:
+            config, _ = load(Path(true))
+            with standing(config, LiftedPlant(config), Path(eyes)):
+                main()
+        case _:
+            main()
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import shlex
 import struct
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from difflib import unified_diff
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -27,6 +27,7 @@ from tests.docs.terminal import PROMPT, Terminal, TerminalError, environment
 from tests.setup_robots import wronged
 
 CHANNEL: Final = "bench"
+ATTEMPTS: Final = 3  # a machine that is too busy lets motors and commands be late, and robots tell so
 HOME: Final = "/home/you"
 SEEN: Final = 0.1  # rad, that a person sees
 QUESTION: Final = r"(?:^|\n)[^\n]*\?(?: \([^\n]*\))?(?: \[[^\n]*\])? $"
@@ -199,10 +200,20 @@ def kept(name: str) -> Path:
     return TERMINAL / f"{name}.txt"
 
 
-def changed(name: str) -> Iterator[str]:
-    """The lines in which a story comes out otherwise than it is kept."""
-    before, now = (normal(text).splitlines() for text in (kept(name).read_text(encoding="utf-8"), told(name)))
-    yield from unified_diff(before, now, f"{name}, as it is kept", f"{name}, as it comes out", lineterm="", n=1)
+def changed(name: str) -> list[str]:
+    """The lines in which a story comes out otherwise than it is kept, or what kept it from its end."""
+    before = normal(kept(name).read_text(encoding="utf-8")).splitlines()
+    lines: list[str] = []
+    for _ in range(ATTEMPTS):
+        try:
+            now = normal(told(name)).splitlines()
+        except TerminalError as error:
+            lines = str(error).splitlines()
+            continue
+        lines = list(unified_diff(before, now, f"{name}, as kept", f"{name}, as it comes out", lineterm="", n=1))
+        if not lines:
+            break
+    return lines
 
 
 def main() -> int:
@@ -214,7 +225,7 @@ def main() -> int:
     differing = 0
     for name in wanted.name or STORIES:
         if wanted.check:
-            lines = list(changed(name))
+            lines = changed(name)
             differing += bool(lines)
             sys.stdout.writelines(f"{line}\n" for line in lines)
         else:
