@@ -4,8 +4,8 @@ How this works
 --------------
 For `setup` the robot of the file TRUE is on python-can's virtual bus of this process, in a thread, with its wheels in
 the air. What a person standing beside it would see, how far each motor has turned, is in the file EYES, a double for
-each, in the order of the chassis. For `run` it is on its wheels, and on the bus of the service itself, as the simulated robot of
-`--simulate` is, so that a busy machine makes no motor silent.
+each, in the order of the chassis. For `run` it is on its wheels, and on the bus of the service itself, as the simulated
+robot of `--simulate` is, so that a busy machine makes no motor silent.
 """
 
 import struct
