@@ -1,7 +1,7 @@
 #!/bin/sh
 # Sets up a test environment in .venv and runs everything: style, types, tests in both forms, the virtual-machine
-# lanes, the lane that wants the same bytes from another processor, the report page in a real browser, and the experiments
-# of the papers in full.
+# lanes, the lane that wants the same bytes from another processor, the report page in a real browser, the documentation
+# with every command in it, and the experiments of the papers in full.
 set -eu
 cd "$(dirname "$0")/.."
 . deploy/venv.sh
@@ -15,4 +15,5 @@ make_venv .venv
 .venv/bin/python -m tests.vm
 .venv/bin/python -m tests.equality
 .venv/bin/python -m tests.browser
+.venv/bin/python -m tests.docs
 .venv/bin/python -m tests.experiments

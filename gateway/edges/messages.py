@@ -6,6 +6,8 @@
 | `sensor/<name>`      | put        | by the sensor's kind, see below                                                |
 | `cmd/stop`           | put        | anything: the latched emergency stop                                           |
 | `cmd/reset`          | get        | reply `{"ok", "reason": text or null}`                                         |
+| `cmd/stand_up`       | get        | of a robot that balances: stands up with the next zero; reply as to a reset    |
+| `cmd/let_down`       | get        | of a robot that balances: lets go within 1 s; reply as to a reset              |
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
 | `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
 | `cmd/mark`           | get        | `{"text": words}`, an event and an incident of their own; reply as to a reset  |
@@ -238,15 +240,15 @@ class Mark(NamedTuple):
 class OdometryMessage(NamedTuple):
     """Odometry as it travels; see the table above."""
 
-    t: float
-    x: float
-    y: float
-    theta: float
-    vx: float | None
-    vy: float | None
-    wz: float | None
-    covariance: tuple[float, ...]
-    residual: float | None
+    t: float  # s
+    x: float  # m, in `odom`, which begins where the service did
+    y: float  # m
+    theta: float  # rad
+    vx: float | None  # m/s, of the body; None: not measurable now
+    vy: float | None  # m/s
+    wz: float | None  # rad/s
+    covariance: tuple[float, ...]  # of x, y and theta: nine numbers, row by row
+    residual: float | None  # m/s; None where the wheels carry no redundancy
 
 
 class StateMessage(NamedTuple):
