@@ -135,7 +135,7 @@ CAN_FILE = "gateway/edges/python_can.py"  # whence everybody else has python-can
 MF4_FILE = "replay/logs/mf4_files.py"  # the only one that knows asammdf, which is an extra
 MF4_USERS = {"replay/logs/export.py"}  # within a function: it cannot be imported without that extra
 # The only ones that know SciPy, which takes a third of a second to import.
-FITTING_FILES = {"replay/identify/fit.py", "replay/calibrate/fitting.py"}
+FITTING_FILES = {"replay/identify/fit.py", "replay/calibrate/fitting.py", "replay/calibrate/likelihood.py"}
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 
 
