@@ -163,7 +163,7 @@ def _omni(draft: _Drafting) -> _Chassis:
         lines += ["[[robot.wheel]]", f'motor = "wheel_{place + 1}"', f"x = {_short(reach * cosine)}"]
         lines += [
             f"y = {_short(reach * sine)}",
-            f"axis_angle = {angle!r}   # of its axle, outward, from forward; turned positively it drives to the left",
+            f"axis_angle = {angle!r}   # of its axle, outward, from forward; turned positively it drives to its left",
             *(f"radius = {radius}", ""),
         ]
     return _Chassis(lines, tuple(f"wheel_{place + 1}" for place in range(count)), count, radius)
