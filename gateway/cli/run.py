@@ -3,39 +3,30 @@
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gateway import robot_files
-from gateway.client import Client
-from gateway.config import ConfigError, RobotConfig, parse_as, read
+from gateway.config import RobotConfig, read
 from gateway.core.examination import examine_text
-from gateway.edges import keys, log_queue, realtime
+from gateway.edges import log_queue, realtime
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.estop_latch import EstopFile, EstopLatch
-from gateway.edges.messages import MAX_WORDS, QUANTITIES
 from gateway.edges.signals import EndRequest
 from gateway.edges.systemd import Notifier
 from gateway.edges.zenoh_link import ZenohLink
 from gateway.recording.recorder import NullRecorder, Recorder
 from gateway.service import Service
-from gateway.types import Outputs
-from replay.drive.live_faults import LiveFaults, entries_of
-from replay.drive.script import Script, read_script, script_of
-from replay.sim.bus import SimulatedBus
 from replay.sim.plants.contract import PlantName
-from replay.sim.robot import SimulatedRobot, chosen_plant
 
 logger = logging.getLogger(__name__)
 
 CLOSE_RECORDING_S = 20.0
-AfterCycle = Callable[[int, Outputs], None]  # what is to be done last in every cycle
 SWITCH_INTERVAL_S = 0.0005  # how long another thread may hold the loop up for the interpreter lock
 
 
@@ -96,28 +87,28 @@ def run(  # noqa: PLR0913  # a command line: each parameter is an option with a 
     logger.info("robot file: %s", found.words)
     if (unlike := robot_files.unlike(path, config.robot.name)) is not None:
         logger.warning("%s", unlike)
-    simulated = _simulated(config, plant or PlantName.SIMPLE, str(path), friction) if simulate else None
-    wanted_faults = _scripts(fault or [], script)
+    simulation = None
+    if simulate:
+        from gateway.cli.simulation import Simulation  # noqa: PLC0415  # a real robot has no use for any of it
+
+        simulation = Simulation(
+            config, str(path), plant=plant or PlantName.SIMPLE, friction=friction, faults=fault or [], script=script
+        )
     config = _with_overrides(config, out=out, endpoint=endpoint)
     notifier = Notifier()
     with ExitStack() as stack:
         # The bus first: a second service for the same motors is refused before it records or announces anything.
-        bus = CanBuses(config) if simulated is None else SimulatedBus(config, simulated)
+        bus = CanBuses(config) if simulation is None else simulation.bus
         stack.callback(bus.close)
         latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
         stack.callback(latch.close)
-        told = None if simulated is None else (plant or PlantName.SIMPLE).value
+        told = None if simulation is None else simulation.plant.value
         wanted = config.recording.enabled or config.recording.incidents.enabled
         recorder = Recorder(config, text, str(path), plant=told) if wanted else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))
+        after_cycle = None if simulation is None else simulation.attach(config, link, stack)
         realtime.enter()  # now that every thread of the link exists
-        after_cycle = None
-        if isinstance(bus, SimulatedBus):
-            faults = LiveFaults(bus, config, plant or PlantName.SIMPLE)
-            for origin, given in wanted_faults:
-                faults.give(given, origin)
-            after_cycle = _together(*_of_simulation(bus, config, link, faults, stack))
         service = Service(
             config,
             bus=bus,
@@ -130,13 +121,6 @@ def run(  # noqa: PLR0913  # a command line: each parameter is an option with a 
         )
         code = service.run()
     raise typer.Exit(code)
-
-
-def _simulated(config: RobotConfig, plant: PlantName, origin: str, friction: float | None) -> SimulatedRobot:
-    robot = SimulatedRobot(config, plant=chosen_plant(config, plant, origin))
-    if friction is not None:
-        robot.set_floor(friction)
-    return robot
 
 
 def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | None) -> RobotConfig:
@@ -152,72 +136,3 @@ def _state_directory(option: Path | None, config: RobotConfig, environment: Mapp
         return option
     given, _, _ = environment.get("STATE_DIRECTORY", "").partition(":")
     return Path(given or config.recording.directory)
-
-
-def _scripts(words: Sequence[str], path: Path | None) -> list[tuple[str, Script]]:
-    """What is to break, with who says so. Raises ConfigError."""
-    said = [("--fault", script_of(entries_of(words)))] if words else []
-    return said if path is None else [*said, (str(path), read_script(path))]
-
-
-def _together(*calls: AfterCycle) -> AfterCycle:
-    def every(now_ns: int, outputs: Outputs) -> None:
-        for call in calls:
-            call(now_ns, outputs)
-
-    return every
-
-
-def _of_simulation(
-    bus: SimulatedBus, config: RobotConfig, link: ZenohLink, faults: LiveFaults, stack: ExitStack
-) -> Iterator[AfterCycle]:
-    """What a simulated robot does besides, and a real one never."""
-    yield _truth_teller(bus, link)
-    if bus.robot.signals:
-        yield _sensing(bus.robot, config, stack.enter_context(Client(config.robot.name, connect=config.zenoh.listen)))
-    link.answer(keys.FAULT, partial(_take_faults, faults))
-    yield _breaking(faults, link)
-
-
-def _take_faults(faults: LiveFaults, payload: bytes) -> str | None:
-    """Why they are not taken; None: they are."""
-    try:
-        faults.give(parse_as(Script, payload.decode(errors="replace"), "faults"), "faults")
-    except ConfigError as error:
-        return "; ".join(error.problems)
-    return None
-
-
-def _breaking(faults: LiveFaults, link: ZenohLink) -> AfterCycle:
-    """Breaks what is due, and tells the recording."""
-
-    def break_due(now_ns: int, _: Outputs) -> None:
-        told = faults.step(now_ns)
-        if told is not None:
-            link.mark(f"simulated: {told}"[:MAX_WORDS], now_ns)
-
-    return break_due
-
-
-def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> AfterCycle:
-    """Publishes, with every odometry, where the simulated robot really is."""
-
-    def publish_truth(now_ns: int, outputs: Outputs) -> None:
-        if outputs.odometry is not None:
-            link.publish_truth(bus.robot.truth.pose, now_ns * 1e-9)
-
-    return publish_truth
-
-
-def _sensing(robot: SimulatedRobot, config: RobotConfig, client: Client) -> AfterCycle:
-    """Publishes, with every odometry, what the sensors that come over Zenoh would; what there is not, none does."""
-    names = {sensor.name: QUANTITIES[sensor.kind] for sensor in config.sensor if sensor.bus is None}
-
-    def sense(now_ns: int, outputs: Outputs) -> None:
-        if outputs.odometry is not None:
-            for name, signal in robot.signals.items():
-                told = dict(zip(names[name], signal.tell(now_ns), strict=True))
-                if any(value is not None for value in told.values()):
-                    client.sense(name, **told)
-
-    return sense
