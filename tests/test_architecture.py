@@ -129,7 +129,7 @@ PYDANTIC_FILES = {
         "gateway/edges/messages.py",
         "replay/drive/scenario_file.py",
     ),
-    "replay/inject/injection.py",
+    "replay/drive/script.py",
     *("gateway/paths/path_file.py", "gateway/setup/courses.py", "gateway/setup/fields.py"),
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow

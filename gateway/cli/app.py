@@ -35,6 +35,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "stand": "stand",
     "set": "setting",
     "mark": "mark",
+    "fault": "fault",
     "calibrate": "calibrate",
     "setup": "setup",
     "demo": "demo",

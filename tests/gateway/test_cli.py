@@ -27,6 +27,11 @@ def test_the_daemon_never_imports_rerun() -> None:
     assert "pyarrow" in modules("demo"), "so that the test above can fail"
 
 
+def test_the_daemon_of_a_real_robot_knows_of_no_faults_that_can_be_given() -> None:
+    assert not {one for one in modules("run") if one.startswith("replay.drive") or one == "gateway.cli.simulation"}
+    assert "replay.drive.live_faults" in modules("fault"), "so that the test above can fail"
+
+
 def test_the_list_of_commands_needs_none_of_them() -> None:
     heavy = {"zenoh", "can", "rerun", "pyarrow", "numpy", "pydantic"}
     assert not modules(None) & heavy
