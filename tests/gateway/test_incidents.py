@@ -511,6 +511,8 @@ def check_order(before: list[IncidentFile], coming: IncidentFile, gone: list[Inc
             assert not [other for other in left_ if in_the_middle(other, before, coming) and other < one]
             continue
         assert not [other for other in left_ if in_the_middle(other, before, coming)], "those go first"
+        began = {other.day: other.number for other in reversed([*before, coming])}
+        assert not [other for other in left_ if began[other.day] < began[one.day]], "then what is of the oldest day"
         if not siblings(one, before, before=True):
             same_day = [other for other in left_ if other.day == one.day]
             assert not [other for other in same_day if siblings(other, before, before=True)], (
