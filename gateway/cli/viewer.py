@@ -1,6 +1,7 @@
 """The Rerun viewer: a window where there is a display, else a page on loopback. Never listens beyond loopback."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sysconfig
@@ -43,7 +44,7 @@ def view(session: Path) -> None:
         command += ["--serve-web", "--web-viewer-port", str(WEB_PORT)]
         console.print(f"look at {_page(WEB_PORT, DATA_PORT)} (Ctrl-C ends it)", highlight=False)
     try:
-        subprocess.run([*command, *files], check=False)
+        subprocess.run(_tied([*command, *files]), check=False)
     except KeyboardInterrupt:
         return
 
@@ -77,7 +78,7 @@ class LiveViewer:
             command += ["--memory-limit", WINDOW_MEMORY, "--expect-data-soon"]
         # In a session of its own: a Ctrl-C reaches only us, who end it.
         self._process = subprocess.Popen(
-            command,
+            _tied(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -145,6 +146,12 @@ def free_port(wanted: int, *, other_than: int | None = None) -> int:
 
 def _program() -> Path:
     return Path(sysconfig.get_path("purelib")) / "rerun_cli" / "rerun"
+
+
+def _tied(command: list[str]) -> list[str]:
+    """The kernel ends it with the thread that starts it, whatever ends that (PR_SET_PDEATHSIG); where setpriv is."""
+    program = shutil.which("setpriv")
+    return command if program is None else [program, "--pdeathsig", "KILL", "--", *command]
 
 
 def _has_display() -> bool:
