@@ -18,6 +18,9 @@ GROUPS: Final = {words[:-1] for words in LEAVES if len(words) > 1}
 OF_ITSELF: Final = ("--version", "--help")
 _BEFORE: Final = ("sudo", "&&", ";", "|", "!", "timeout")
 _BEHIND: Final = re.compile(r"[&|;>]|2>")
+_OF_A_ROBOT: Final = re.compile(
+    r"\b(sudo|apt-get|systemctl|udevadm|journalctl)\b|/etc/|deploy/\S+\.sh|^ *git ", re.MULTILINE
+)
 _LEFT_OUT: Final = re.compile(r"[A-Z]{2,}|…|\.\.\.|\[|\|")  # placeholders of a mention
 
 
@@ -89,6 +92,8 @@ def faults(text: str) -> Iterator[str]:
         lost = covered_by_nothing(block)
         if lost is not None:
             yield f"line {block.line}: {lost}"
+        if block.runs and (found := _OF_A_ROBOT.search(block.text)):
+            yield f"line {block.line}: {found[0].strip()} changes a computer: say by what the block is covered"
         if block.language == "sh":
             said = (wrong(words) for words in commands(block))
             yield from (f"line {block.line}: {one}" for one in said if one is not None)
