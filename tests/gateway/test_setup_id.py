@@ -46,12 +46,13 @@ def called(
     typed: tuple[str, ...] = (),
     terminal: bool = False,
     disturb: Callable[[Bench], None] = lambda _: None,
+    channel: str = "can0",
 ) -> tuple[int, dict[str, object]]:
     out, code = StringIO(), 0
     stdin = patch.object(sys, "stdin", Terminal(typed, terminal=terminal))
     with simulated(bench, Told(), disturb), stdin, redirect_stdout(out), suppress(typer.Exit):
         code = 1
-        code = build("setup")(["setup", "id", "can0", *arguments, "--json"], standalone_mode=False) or 0
+        code = build("setup")(["setup", "id", channel, *arguments, "--json"], standalone_mode=False) or 0
     return code, json.loads(out.getvalue().splitlines()[-1])
 
 
@@ -132,9 +133,9 @@ def test_without_a_yes_no_id_changes_and_nothing_moves(
 
 def test_a_gateway_on_the_bus_is_left_alone() -> None:
     bench, _, _ = fresh()
-    claims = Claims("socketcan", "can0", [0x7FF])
+    claims = Claims("socketcan", "held_id", [0x7FF])
     with pytest.raises(InUseError):
-        called(bench, "odrive-0.6")
+        called(bench, "odrive-0.6", channel="held_id")
     claims.release()
     assert bench.sent == []
 

@@ -306,7 +306,7 @@ def test_a_torque_that_changes_slowly_tells_too_little() -> None:
 def test_a_motion_that_the_torque_does_not_explain_is_no_answer() -> None:
     torque = steps(0.1)
     speed = solve(TRUTH, TIMES, torque)[0] + 2.0 * np.sin(9.0 * TIMES)
-    assert "does something rub, slip, or turn it?" in refusal(speed, torque)
+    assert "explain" in refusal(speed, torque)
 
 
 def test_too_short_a_motion_is_no_answer() -> None:
