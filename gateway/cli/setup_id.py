@@ -103,12 +103,12 @@ def _over_can(
 
 def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
     """Raises RenamingError where it does not say so itself, before it is kept and after."""
-    _confirmed(place, how, one, to, [how.give(place.name, one.serial, to)], quiet_s=0.0)
-    _confirmed(place, how, one, to, [how.keep(place.name, to)], quiet_s=RESTART_S)
+    _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
+    _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
 
 
 def _confirmed(
-    place: Place, how: RenamingOverCan, one: Identity, to: int, first: Sequence[list[CanFrame]], *, quiet_s: float
+    place: Place, how: RenamingOverCan, one: Identity, to: int, first: Sequence[CanFrame], *, quiet_s: float
 ) -> None:
     """Sends this, and asks after so many seconds until it tells this id."""
     call = RollCall(how)
@@ -131,12 +131,12 @@ class _Again:
         self,
         ask: Callable[[], list[CanFrame]],
         *,
-        first: Sequence[list[CanFrame]] = (),
+        first: Sequence[CanFrame] = (),
         quiet_s: float = 0.0,
         every_s: float = ASK_EVERY_S,
     ) -> None:
         self._ask = ask
-        self._first = [frame for frames in first for frame in frames]
+        self._first = list(first)
         self._next_s = quiet_s
         self._every_s = every_s
 
@@ -155,8 +155,8 @@ def _by_hand(
     place: Place, driver: str, variant: str, steps: Callable[[int], tuple[str, ...]], to: int | None
 ) -> dict[str, object]:
     watch = IdWatch(driver, variant)
-    pings = _Again(lambda: DRIVERS[driver].questions(place.name, ()), every_s=PING_EVERY_S)
-    listen(place, BEFORE_S, watch.take, questions=pings)
+    pings = lambda: DRIVERS[driver].questions(place.name, ())  # noqa: E731  # a question is one line
+    listen(place, BEFORE_S, watch.take, questions=_Again(pings, every_s=PING_EVERY_S))
     before = sorted(watch.ids())
     console.print(f"{variant}: heard {', '.join(f'id {at}' for at in before) or 'nobody'}", highlight=False)
     if to is None:
@@ -167,7 +167,7 @@ def _by_hand(
     for number, step in enumerate(steps(to), start=1):
         errors.print(f"  {number}. {step}", highlight=False, markup=False)
     watch.begin()
-    again = _Again(lambda: DRIVERS[driver].questions(place.name, ()), every_s=PING_EVERY_S)
+    again = _Again(pings, every_s=PING_EVERY_S)
     listen(place, BY_HAND_S, watch.take, questions=again, going_on=lambda: not watch.over)
     came, went = watch.change()
     if not came:
