@@ -56,7 +56,7 @@ class RollCall:
             raise RenamingError("nobody tells a serial number: power, cable, bit rate, firmware?")
         if serial is None:
             if len(self.ids) > 1:
-                raise RenamingError(f"--serial is missing: {len(self.ids)} are there: {', '.join(self.lines())}")
+                raise RenamingError(f"--serial is missing: {len(self.ids)} are there: {'; '.join(self.lines())}")
             (one,) = self.ids
             return Identity(one, self.ids[one])
         try:
@@ -64,7 +64,7 @@ class RollCall:
         except ValueError:
             raise RenamingError(f"--serial {serial}: must be a number in hexadecimal") from None
         if one not in self.ids:
-            raise RenamingError(f"--serial {serial}: not there; there is {', '.join(self.lines())}")
+            raise RenamingError(f"--serial {serial}: not there; there is {'; '.join(self.lines())}")
         return Identity(one, self.ids[one])
 
     def lines(self) -> list[str]:
