@@ -88,14 +88,16 @@ def _over_can(
     if to is None:
         return {"ok": not call.shared(), "ids": _table(call), "shared": call.shared()}
     one = call.chosen(serial)
-    check_free(call.ids, one, to)
-    check_at_rest([found for found in census.report(ROLL_S).found if found.driver == driver], one)
+    found = [found for found in census.report(ROLL_S).found if found.driver == driver]
+    check_free(call.ids, found, one, to)
+    check_at_rest(found, one)
     allow(
         f"{named(one)}: gets id {to}, keeps it and starts anew. What it does by itself at a start (calibration, closed "
         "loop) it will do: lift the robot so that no wheel touches the ground, and keep hands and cables away.",
         f"to give it id {to}",
         yes=yes,
     )
+    refuse_where_commanded(place.interface, place.channel)  # somebody may have started one meanwhile
     _give(place, how, one, to)
     console.print(f"serial {one.serial:012X} has id {to}, also after a restart", highlight=False)
     return {"ok": True, "serial": f"{one.serial:012X}", "from": one.id, "to": to}

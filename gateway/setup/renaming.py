@@ -86,11 +86,14 @@ def named(one: Identity) -> str:
     return f"serial {one.serial:012X}, " + ("no id" if one.id is None else f"id {one.id}")
 
 
-def check_free(ids: Mapping[int, int | None], one: Identity, to: int) -> None:
-    """Raises RenamingError where another one has this id."""
+def check_free(ids: Mapping[int, int | None], found: Iterable[Found], one: Identity, to: int) -> None:
+    """Raises RenamingError where another one has this id; `found`: who was heard, whether it tells a serial or not."""
     for serial, at in ids.items():
         if at == to and serial != one.serial:
             raise RenamingError(f"id {to} is that of serial {serial:012X}: give that one another id first")
+    for other in found:
+        if other.id == to and to not in ids.values():
+            raise RenamingError(f"id {to} is that of {other.name}, which tells no serial: give that one another first")
 
 
 def check_at_rest(found: Iterable[Found], one: Identity) -> None:

@@ -88,6 +88,16 @@ def test_an_id_that_another_has_is_not_taken_from_it() -> None:
     assert (one.node, other.node) == (0, 0)
 
 
+def test_nor_from_one_that_tells_no_serial() -> None:
+    """As firmware 0.5: it would be started anew in the other's place."""
+    bench, one, _ = fresh()
+    silent = cast("SimulatedODrive", bench.bus.robot.devices["rear_left"])
+    silent._reports.pop(6)
+    found = called(bench, "odrive-0.6", "--to", str(silent.node), "--serial", f"{one.serial:X}", "--yes")[1]
+    assert "which tells no serial" in str(found["reason"])
+    assert one.node == 0
+
+
 def test_one_that_drives_is_not_started_anew() -> None:
     bench, _, other = fresh()
     bench.bus.remove_twin("front")
