@@ -80,8 +80,8 @@ class Model(Protocol):
         """What does not."""
         ...
 
-    def missing(self, direction: Array) -> str:
-        """What would have to be driven, where this direction of the numbers is not told."""
+    def missing(self, at: int) -> str:
+        """What would have to be driven to tell the number at this place."""
         ...
 
 
@@ -92,7 +92,7 @@ _SHOWN_BY: Final = {
     "axle_offset": "only courses that end with the chassis turned another way than at their start show it (one line "
     "sideways)",
     "track": "only courses that turn the chassis show it (squares both ways)",
-    "wheel_ratio": "straight lines whose end is measured in y and turn show it",
+    "wheel_ratio": "squares both ways, or straight lines whose turn is measured, show it",
     "joint_zero": "straight lines whose end is measured in y show it",
 }
 
@@ -150,9 +150,9 @@ class OffsetDifferential:
             if halves[at] > 0.0
         ]
 
-    def missing(self, direction: Array) -> str:
-        """Of the number that has most to do with it."""
-        return _SHOWN_BY[self.names[int(np.argmax(np.abs(direction)))]]
+    def missing(self, at: int) -> str:
+        """As the head of this file has it."""
+        return _SHOWN_BY[self.names[at]]
 
 
 class _WheelNumbers(NamedTuple):
@@ -203,10 +203,8 @@ class Wheels:
         self.names = tuple(f"{axis} of way {way}" for axis in ("x", "y", "turn") for way in range(3))
         self.start = by.ravel()
         lever = float(np.max(np.abs(self._rows[:, 2] * radii)))
-        size = float(np.mean(radii)) * np.ones(3)
-        self.scales = np.concatenate((size, size, size / lever))
+        self.scales = np.repeat([1.0, 1.0, 1.0 / lever], 3)  # of the body, by a metre of rims
         self.widest = np.full(9, np.inf)
-        self._by = by
 
     def way(self, driven: Driven, values: Array) -> Array:
         """By nine numbers."""
@@ -242,11 +240,9 @@ class Wheels:
         """Nothing."""
         return []
 
-    def missing(self, direction: Array) -> str:
-        """The axis of the body that was driven least."""
-        untold = np.linalg.norm(direction.reshape(3, 3), axis=0)  # of the three ways
-        axis = np.abs(self._by @ untold) / np.linalg.norm(self._by, axis=1)
-        return f"too little was driven to tell every wheel's numbers; drive also: {_AXES[int(np.argmax(axis))]}"
+    def missing(self, at: int) -> str:
+        """Every way to move was driven, so more of the same."""
+        return "measure x, y and turn of every course, and turns that are no whole number of turns"
 
     def _reach(self) -> float:
         return max(hypot(wheel.x, wheel.y) for wheel in self._wheels)
