@@ -52,6 +52,7 @@ def test_courses(tmp_path: Path, free_port: int) -> None:
     with RobotProcess(NAME, tmp_path, free_port, "--simulate", file=file) as robot:
         drive = ["--connect", robot.endpoint, "--out", str(courses), "--repeat", "1", "--length", "0.4"]
         some = ["--course", "forward", "--course", "left", "--course", "backward", "--course", "right"]
+        robot.await_state(standing)
         assert robot.client.reference("platform", 0.0).ok
         code, told = called(command(file, *drive, "--truth"))
         assert (code, told["ok"]) == (1, False)

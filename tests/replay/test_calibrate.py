@@ -137,8 +137,8 @@ def check_simulated(tmp_path: Path, name: str, plant: Callable[[Robot], object],
     ("name", "plan"),
     [
         ("mobyish", (FORWARD, LEFT, BACKWARD, RIGHT, CourseName.SQUARE_LEFT)),
-        ("kiwi", (FORWARD, LEFT, *TURNS)),
-        ("rectangular", (FORWARD, LEFT, *TURNS)),
+        ("kiwi", (FORWARD, LEFT, BACKWARD, RIGHT, CourseName.TURN_LEFT)),
+        ("rectangular", (FORWARD, LEFT, BACKWARD, RIGHT, CourseName.TURN_LEFT)),
     ],
 )
 def test_a_simulated_robot_that_is_not_as_its_file_says(tmp_path: Path, name: str, plan: Sequence[CourseName]) -> None:
@@ -148,7 +148,7 @@ def test_a_simulated_robot_that_is_not_as_its_file_says(tmp_path: Path, name: st
 @pytest.mark.parametrize(
     ("name", "plant", "plan"),
     [
-        ("kiwi", mujoco_plant.omni, (FORWARD, LEFT, *TURNS)),
+        ("kiwi", mujoco_plant.omni, (FORWARD, LEFT, BACKWARD, RIGHT, CourseName.TURN_RIGHT)),
         ("moby", mujoco_plant.offset_differential, (FORWARD, LEFT, BACKWARD, RIGHT, CourseName.SQUARE_LEFT)),
     ],
 )

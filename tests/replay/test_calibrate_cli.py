@@ -11,9 +11,11 @@ from typer.testing import CliRunner, Result
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.cli import output
 from gateway.cli.app import build
+from gateway.cli.setup_courses import write
 from gateway.cli.setup_covariance import words
 from gateway.config import ConfigError, load, parse
-from gateway.setup.courses import CourseName, Courses, courses_text
+from gateway.setup.correction import Entry
+from gateway.setup.courses import CourseError, CourseName, Courses, courses_text
 from replay.calibrate.likelihood import Consistency
 from replay.sim.plants import plant_of
 from tests.replay.measured_courses import drive_courses
@@ -150,21 +152,18 @@ def test_a_session_without_what_was_measured(tmp_path: Path, driven: Courses) ->
     assert "--session needs --measured" in result.stderr
 
 
-def test_what_would_not_drive_is_not_written(bench: Bench, driven: Courses) -> None:
-    """Metres as centimetres: no geometry near that of the file."""
-    bench.courses.write_text(
-        courses_text(
-            driven.model_copy(
-                update={
-                    "course": [
-                        one.model_copy(update={"x": 100.0 * (one.x or 0.0), "y": 100.0 * (one.y or 0.0)})
-                        for one in driven.course
-                    ]
-                }
-            )
-        )
-    )
+def test_metres_taken_for_centimetres(bench: Bench, driven: Courses) -> None:
+    far = [one.model_copy(update={"x": 100.0 * (one.x or 0.0), "y": 100.0 * (one.y or 0.0)}) for one in driven.course]
+    bench.courses.write_text(courses_text(driven.model_copy(update={"course": far})))
     assert "no geometry near" in bench.refused("calibrate")
+
+
+def test_what_would_not_drive_is_not_written(bench: Bench) -> None:
+    """A file that can be read, and a robot that nobody can drive: its loop is slower than its watchdogs."""
+    text = bench.file.read_text()
+    with pytest.raises(CourseError, match="with what was found the robot could not be driven"):
+        write(bench.file, text, [Entry(("loop", "rate"), 10.0, "Hz")], yes=True)
+    assert bench.file.read_text() == text
 
 
 def test_covariance_needs_more_courses(bench: Bench) -> None:
