@@ -61,7 +61,7 @@ def calibrated(config: RobotConfig, courses: Courses, driven: Sequence[Driven]) 
     covariance = np.zeros((len(model.start),) * 2)
     covariance[np.ix_(free, free)] = fit.covariance
     numbers = model.numbers(values, covariance, quantile(fit.spare))
-    refused |= {one.name: _wide(one.half, one.unit, one.widest) for one in numbers if one.half > one.widest}
+    refused |= {one.name: _wide(one) for one in numbers if one.half > one.widest}
     return Calibrated(
         [one for one in numbers if one.name not in refused],
         model.told(values, covariance, quantile(fit.spare)),
@@ -81,11 +81,12 @@ def _best(
     """Places of the numbers that are told, reasons of those that are not, and all values. Raises CourseError."""
     free, refused = list(range(len(model.start))), dict[str, str]()
     while True:
-        found = _told(model, free, _solved(config, courses, model, driven, free))
+        found = _solved(config, courses, model, driven, free)
         if isinstance(found, Solved):
             return free, refused, found
-        refused |= {model.names[at]: reason for at, reason in found.items()}
-        free = [at for at in free if at not in found]
+        untold = _untold(model, free, found)
+        refused |= {model.names[at]: reason for at, reason in untold.items()}
+        free = [at for at in free if at not in untold]
         if not model.optional or not free:
             raise CourseError(_all(refused))
 
@@ -142,25 +143,15 @@ def _end(  # noqa: PLR0917  # all that an end hangs on
     )
 
 
-def _told(model: Model, free: Sequence[int], found: Solved | Untold) -> Solved | dict[int, str]:
-    """All, where every number is told well enough; else those that are not, or the one that is least, and why."""
-    if isinstance(found, Untold):
-        mixed = [at for at, share in zip(free, found.share, strict=True) if share > SHARE]
-        together = f" (only mixed with {', '.join(model.names[at] for at in mixed)})" if len(mixed) > 1 else ""
-        return {at: f"these courses do not tell it{together}: {model.missing(at)}" for at in mixed}
-    halves = found.fit.halves
-    doubt = halves / model.widest[list(free)]
-    worst = int(np.argmax(doubt))
-    if doubt[worst] <= 1.0:
-        return found
-    at = free[worst]
-    return {at: f"{_wide(float(halves[worst]), '', float(model.widest[at]))}; {model.missing(at)}"}
+def _untold(model: Model, free: Sequence[int], found: Untold) -> dict[int, str]:
+    """Those that are not told, and why."""
+    mixed = [at for at, share in zip(free, found.share, strict=True) if share > SHARE]
+    together = f" (only mixed with {', '.join(model.names[at] for at in mixed)})" if len(mixed) > 1 else ""
+    return {at: f"these courses do not tell it{together}: {model.missing(at)}" for at in mixed}
 
 
-def _wide(half: float, unit: str, widest: float) -> str:
-    return (
-        f"only to +-{half:.2g}{' ' if unit else ''}{unit}, more than {widest:.2g}: repeat the courses, or longer ones"
-    )
+def _wide(one: Number) -> str:
+    return f"only to +-{one.half:.2g} {one.unit}, more than {one.widest:.2g}: {one.hint}"
 
 
 def _check_spare(driven: Sequence[Driven], sought: int) -> None:

@@ -275,6 +275,16 @@ def test_wheels_whose_intervals_are_wide_stay_as_they_are() -> None:
     assert not {one.name for one in found.refused} & {one.name for one in found.numbers}
 
 
+def test_an_interval_that_is_wide_says_what_would_show_the_number() -> None:
+    """One line sideways, by a tape that is good for 2 cm."""
+    config, runs = mobyish_runs((FORWARD, LEFT, CourseName.SQUARE_LEFT, CourseName.SQUARE_RIGHT))
+    found = calibrated(config, courses_of(config).model_copy(update={"tape": 0.02}), runs)
+    (refused,) = found.refused
+    assert refused.name == "axle_offset"
+    assert refused.reason.startswith("only to +-0.0")
+    assert "m, more than 0.01: only courses that end with the chassis turned another way" in refused.reason
+
+
 def test_what_an_offset_differential_course_does_not_show_is_refused() -> None:
     """The chassis never turns: radius and ratio, and neither offset nor track."""
     config, runs = mobyish_runs([FORWARD] * 4)
