@@ -103,7 +103,10 @@ REFUSED: dict[str, tuple[Chassis, list[str]]] = {
         odd(1.10714872, E, E, -1.24904577, narrowest=0.1),
         ["At a width of 0.175 m it cannot turn about the point"],
     ),
-    "odd, hardly less than nothing": (odd(E, E - 1e-6, E, E + 1e-6), ["At a width of", "it cannot turn about the"]),
+    "odd, hardly less than nothing": (
+        odd(E, E - 1e-6, E, E + 1e-6),
+        ["At a width of", "it cannot move along the line 45 degrees to the right"],
+    ),
 }
 DOUBTED: dict[str, tuple[Chassis, list[str]]] = {
     "omni, nearly all alike": (omni(0.0, 0.02, -0.02, 0.01), ["can hardly move forward or backward (1.5 %)", AXLES]),
