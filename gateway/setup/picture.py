@@ -333,7 +333,7 @@ def _explained(robot: Chassis) -> list[tuple[str, str]]:
     """By style, in the order of the legend."""
     more = " and ".join(robot.AXES[len(PLANAR) :])
     return [
-        ("rolls", "turned positively, the wheel rolls the robot this way over the floor"),
+        ("rolls", "turned positively, the wheel rolls this way over the floor"),
         ("slides", "its rollers let it slide along this line, both ways alike"),
         (
             "roller",
