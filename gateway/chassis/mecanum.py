@@ -43,8 +43,8 @@ class MecanumPose(Section):
     roller_angle: Annotated[
         Angle,
         Field(
-            description="of the axis of the roller that touches the floor, counter-clockwise from forward (on top of the "
-            "wheel, seen from above, it lies mirrored); a wheel that turns positively rolls forward"
+            description="of the axis of the roller that touches the floor, counter-clockwise from forward (on top of "
+            "the wheel, seen from above, it lies mirrored); a wheel that turns positively rolls forward"
         ),
     ]
     radius: Annotated[Length, Field(description="from the axle to the floor")]
