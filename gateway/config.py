@@ -39,8 +39,8 @@ def _plain(value: object) -> object:
     raise ValueError(message)
 
 
-def _with_port(endpoint: str) -> str:
-    """An endpoint of Zenoh; only its form is looked at here."""
+def with_port(endpoint: str) -> str:
+    """An endpoint of Zenoh, of which only the form is looked at here. Raises ValueError."""
     protocol, _, address = endpoint.partition("/")
     port = re.split("[?#]", address)[0].rpartition(":")[2]
     numbered = port.isascii() and port.isdigit() and int(port) <= 65535
@@ -52,7 +52,7 @@ def _with_port(endpoint: str) -> str:
 
 _WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
 Endpoint = Annotated[
-    str, Field(max_length=128), AfterValidator(_with_port), Form("a Zenoh endpoint such as tcp/127.0.0.1:7447")
+    str, Field(max_length=128), AfterValidator(with_port), Form("a Zenoh endpoint such as tcp/127.0.0.1:7447")
 ]
 Option = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 

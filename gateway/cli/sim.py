@@ -12,6 +12,7 @@ import typer
 import zenoh
 
 from gateway import robot_files
+from gateway.cli.endpoints import checked
 from gateway.client import MAX_MESSAGE_SIZE
 from gateway.config import RobotConfig, load
 from gateway.core.examination import examine
@@ -34,7 +35,10 @@ def sim(
     tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
     plant: Annotated[PlantName, typer.Option(help="By what the robot moves.")] = PlantName.SIMPLE,
     endpoint: Annotated[
-        str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`).")
+        str | None,
+        typer.Option(
+            callback=checked, help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`)."
+        ),
     ] = None,
 ) -> None:
     """Be the motors and the robot on a (virtual) CAN interface until SIGTERM or SIGINT. Never on a real robot's bus.
