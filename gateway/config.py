@@ -514,7 +514,7 @@ def parse(text: str, origin: str) -> RobotConfig:
 
 def survey(text: str, origin: str) -> Survey:
     """Robot file from its text, with everything that is wrong with it. Raises ConfigError for what is no TOML."""
-    document = _document(text, origin)
+    document = document_of(text, origin)
     try:
         config = RobotConfig.model_validate(document)
     except ValidationError as error:
@@ -527,14 +527,15 @@ def survey(text: str, origin: str) -> Survey:
 
 def parse_as(model: type[_File], text: str, origin: str) -> _File:
     """What a person typed, as this model. Raises ConfigError."""
-    document = _document(text, origin)
+    document = document_of(text, origin)
     try:
         return model.model_validate(document)
     except ValidationError as error:
         raise ConfigError(origin, [file_keys.problem(item, document, model) for item in error.errors()]) from None
 
 
-def _document(text: str, origin: str) -> dict[str, Any]:
+def document_of(text: str, origin: str) -> dict[str, Any]:
+    """What a person typed, as it stands there. Raises ConfigError for what is no TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a number of more than 4300 digits, and tables without end
