@@ -73,6 +73,14 @@ def test_clear_mends_and_forgets_what_was_to_come() -> None:
     assert not world.bus.robot.devices["front_left"].acknowledges
 
 
+def test_clear_forgets_ends_of_its_own_script_too() -> None:
+    world, faults = robot()
+    faults.give(script("power_off+1:front_left", "clear@0.5", "power_off@0.7:front_left"))
+    told = ", ".join(run(world, faults, 3.0))
+    assert "end of" not in told
+    assert not world.bus.robot.devices["front_left"].acknowledges
+
+
 def test_clear_of_one_motor_leaves_the_others() -> None:
     world, faults = robot()
     faults.give(script("power_off+1:front_left", "power_off+1:rear_left", "frames_doubled@0.6=0.1"))
