@@ -3,7 +3,10 @@
 import re
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from gateway.cli.simulation import _take
 from gateway.config import ConfigError
 from gateway.types import Mode, Request, RequestKind, Twist
 from replay.drive.faults import RULES, FaultKind
@@ -162,3 +165,27 @@ def test_what_is_sent_is_what_was_said() -> None:
     entries = entries_of(["power_off@1+0.5:front_left", "frames_lost=0.3", "clear"])
     assert script_of(entries, 7) == script("power_off@1+0.5:front_left", "frames_lost=0.3", "clear", seed=7)
     assert text_of(entries, 7).startswith("seed = 7\n")
+
+
+WORLD = World("omni4")
+TEXTS = [
+    "at = [",
+    "]",
+    "{ t = 0, fault = { kind = ",
+    '"power_off"',
+    '"impact"',
+    "} }",
+    ", ",
+    "seed = 1\n",
+    "\0",
+    "[[at]]",
+    "\n",
+]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=80) | st.lists(st.sampled_from(TEXTS), max_size=8).map(lambda texts: "".join(texts).encode()))
+def test_no_payload_raises(payload: bytes) -> None:
+    """In the thread that receives it, whose end would be that of the robot."""
+    problem = _take(LiveFaults(WORLD.bus, WORLD.config, PlantName.SIMPLE), payload)
+    assert problem is None or problem
