@@ -183,3 +183,15 @@ def test_what_else_a_command_ends_with(  # noqa: PLR0917  # fixtures
     found, said = ends_with(given, folder, monkeypatch, capsys)
     assert found == code, said
     assert words in said
+
+
+def test_it_is_said_soon_for_whom_a_command_waits(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before it gives up; a keyboard is no different."""
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    for words in (("drive", "omni4"), ("send", "omni4"), ("watch", "omni4")):
+        code, said = ends_with((*words, *NOBODY), folder, monkeypatch, capsys)
+        assert code == 69
+        soon, late = said.index("nobody answers as omni4 on tcp/127.0.0.1:1 yet"), said.index("does not answer on")
+        assert soon < late
