@@ -1,4 +1,4 @@
-# shellcheck shell=sh disable=SC2154 # of install.sh, which sources this: here, root, source, kind, wheels, work
+# shellcheck shell=sh disable=SC2154,SC2034 # variables of install.sh, which sources this
 # The Python environment: built beside the one that is there, put in its place at once, and taken back.
 . "$here/venv.sh"
 
@@ -69,14 +69,14 @@ pip_install() {
     [ -z "$wheels" ] || set -- "$@" --no-index --find-links "$wheels"
     case $kind in
         client) CC=none && export CC && set -- "$@" "$source" ;; # it has no use for a core that is fast
-        *) set -- "$@" "$source[$kind]" ;;
+        *) set -- "$@" "${source}[$kind]" ;;
     esac
     TMPDIR="$root.new.tmp" "$root.new/bin/pip" install "$@" 2>"$work/pip"
 }
 
 # What of pip's words a person needs, and what to do.
 explain_pip() {
-    tail -5 "$work/pip" >&2
+    grep -v "^WARNING: " "$work/pip" | tail -5 >&2
     room=$(df -Pm "$(dirname "$root")" | awk 'NR == 2 { print $4 }')
     case $(cat "$work/pip") in
         *"No space left"*) why="the disk is full ($room MB are left of it)" ;;

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Installs or upgrades DriveGate on a robot computer; see deploy/README.md. Idempotent; prints what it changes.
 # Everything is checked before anything is changed; what fails after that is taken back.
+# shellcheck disable=SC2034 # variables of environment.sh
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 . "$here/common.sh"
@@ -85,10 +86,11 @@ robot_file() { if [ -f "$DESTDIR$CONFIG/$1.toml" ]; then echo "$DESTDIR$CONFIG/$
 check_words() {
     case $can in networkd | ip | none) ;; *) die "--can = $can: must be networkd, ip or none" ;; esac
     case $kind in client | robot | desk) ;; *) die "--for = $kind: must be client, robot or desk" ;; esac
-    known=$(for file in "$DESTDIR$CONFIG"/*.toml "$here"/robots/*.toml; do basename "$file" .toml; done | grep -vxF '*' | sort -u)
+    known=$(for file in "$DESTDIR$CONFIG"/*.toml "$here"/robots/*.toml; do basename "$file" .toml; done |
+        grep -vxF '*' | sort -u | paste -sd ' ')
     for robot in $enable; do
         [ -f "$(robot_file "$robot")" ] ||
-            die "--enable $robot: there is no robot file $CONFIG/$robot.toml; there is: $(echo $known). Nothing was changed"
+            die "--enable $robot: there is no robot file $CONFIG/$robot.toml; there is: $known. Nothing was changed"
     done
     for robot in $disable; do
         # shellcheck disable=SC2046 # words
@@ -343,7 +345,8 @@ tell_size() {
 }
 
 need_root
-exec 9<"$DESTDIR/" && flock -n 9 || die "another install.sh is at work here"
+exec 9<"$DESTDIR/"
+flock -n 9 || die "another install.sh is at work here"
 [ -n "$kind" ] || kind=$(kind_before)
 : "${kind:=robot}" "${can:=$(can_before)}"
 work=$(mktemp -d)

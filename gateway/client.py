@@ -181,6 +181,11 @@ class Client:
         """
         return self._ask(keys.MARK, messages.encode_mark(text), timeout)
 
+    def give_faults(self, script: str, timeout: float = 2.0) -> ResetAnswer | None:
+        """Faults for a simulated robot, as TOML with `[[at]]` (`replay.drive.script`); None: it is no simulated one."""
+        payload = self._get(keys.FAULT, timeout, script.encode())
+        return None if payload is None else messages.decode_reply(payload)
+
     def status(self, timeout: float = 2.0) -> StateMessage | None:
         """The newest state, asked for; None: no answer."""
         payload = self._get(keys.STATUS, timeout)

@@ -129,7 +129,7 @@ PYDANTIC_FILES = {
         "gateway/edges/messages.py",
         "replay/drive/scenario_file.py",
     ),
-    "replay/inject/injection.py",
+    "replay/drive/script.py",
     *("gateway/paths/path_file.py", "gateway/setup/courses.py", "gateway/setup/fields.py"),
 }
 TABLES_FILE = "replay/logs/export.py"  # besides the rooms of Rerun's the only one that knows Arrow
@@ -140,12 +140,8 @@ MF4_FILE = "replay/logs/mf4_files.py"  # the only one that knows asammdf, which 
 MF4_USERS = {"replay/logs/export.py"}  # within a function: it cannot be imported without that extra
 # The only ones that know SciPy, which takes a third of a second to import.
 FITTING_FILES = {
-    *(
-        "replay/calibrate/fitting.py",
-        "replay/identify/fit.py",
-        "replay/identify/gains.py",
-        "replay/identify/response.py",
-    ),
+    *("replay/calibrate/fitting.py", "replay/calibrate/likelihood.py"),
+    *("replay/identify/fit.py", "replay/identify/gains.py", "replay/identify/response.py"),
 }
 PYDANTIC_ROOMS = ("gateway/chassis",)  # each has its section of the robot file
 

@@ -6,6 +6,7 @@ none is: what they say of themselves is read from their source.
 """
 
 import ast
+import gc
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -34,6 +35,7 @@ COMMANDS = {  # command: module of gateway.cli that has a function (or a group) 
     "stand": "stand",
     "set": "setting",
     "mark": "mark",
+    "fault": "fault",
     "calibrate": "calibrate",
     "setup": "setup",
     "demo": "demo",
@@ -110,8 +112,12 @@ def _options(
 
 def main() -> None:
     """Entry point of the console script: errors of the user's making are words, not tracebacks."""
+    gc.disable()  # what is imported stays: to look for garbage in it takes a quarter of a short command
+    command = build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))
+    gc.freeze()
+    gc.enable()
     try:
-        build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))()
+        command()
     except UserError as error:
         _leave(error)
     except ModuleNotFoundError as error:

@@ -258,6 +258,9 @@ class Preparing:
         kept = keep(file)
         rewrite(file, new)
         errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False, markup=False)
+        given = [motor.name for motor in self.motors if motor.name in options and motor.watchdog is None]
+        if given:
+            complain(f"{', '.join(given)}: has a watchdog in the robot file now; run it once more to set it")
         by_name = {motor.name: motor for motor in load(file)[0].motor}
         self.lines = [
             prepare_odrive.file_line(by_name[line.motor], self._fits.get(line.motor))

@@ -16,8 +16,9 @@ from gateway.config import ConfigError
 from replay.compare.verify import EXIT_NOT_REPLAYABLE
 from replay.drive.moment import Moment
 from replay.drive.scenario import Watch
+from replay.drive.script import Script, in_words, read_script, script_of
 from replay.inject.campaign import Campaign, campaign
-from replay.inject.injection import Injected, Recorded, Script, in_words, inject, read_script, recorded, script_of
+from replay.inject.injection import Injected, Recorded, inject, recorded
 from replay.inject.kept import keep
 from replay.sessions.folders import sessions
 from replay.sessions.reader import SessionError, open_session

@@ -3,7 +3,7 @@
 import logging
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from enum import Enum
 from pathlib import Path
@@ -13,22 +13,17 @@ import typer
 
 from gateway import robot_files
 from gateway.cli.parts import need
-from gateway.client import Client
 from gateway.config import RobotConfig, read
 from gateway.core.examination import examine_text
 from gateway.edges import log_queue, realtime
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.estop_latch import EstopFile, EstopLatch
-from gateway.edges.messages import QUANTITIES
 from gateway.edges.signals import EndRequest
 from gateway.edges.systemd import Notifier
 from gateway.edges.zenoh_link import ZenohLink
 from gateway.recording.recorder import NullRecorder, Recorder
 from gateway.service import Service
-from gateway.types import Outputs
-from replay.sim.bus import SimulatedBus
 from replay.sim.plants.contract import PlantName
-from replay.sim.robot import SimulatedRobot, chosen_plant
 
 logger = logging.getLogger(__name__)
 
@@ -45,7 +40,7 @@ class LogLevel(Enum):
     ERROR = "error"
 
 
-def run(
+def run(  # noqa: PLR0913  # a command line: each parameter is an option with a name
     file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     *,
     simulate: Annotated[bool, typer.Option("--simulate", help="Drive the simulated robot, not a bus.")] = False,
@@ -55,6 +50,15 @@ def run(
     friction: Annotated[
         float | None,
         typer.Option(min=0.0, max=10.0, help="Of the floor under the simulated wheels; they never slip unless told."),
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of the simulated robot, in seconds since its start: power_off@5:front_left; see `drivegate fault`."
+        ),
+    ] = None,
+    script: Annotated[
+        Path | None, typer.Option(help="The same from a TOML file, with [[at]] as in a scenario.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory for sessions instead of the robot file's.")] = None,
     state: Annotated[
@@ -67,7 +71,8 @@ def run(
     ] = LogLevel.INFO,
 ) -> None:
     """Run the drive gateway of one robot until SIGTERM, or any other signal that would end it."""
-    for name, value in (("--plant", plant), ("--friction", friction)):
+    of_simulated = (("--plant", plant), ("--friction", friction), ("--fault", fault), ("--script", script))
+    for name, value in of_simulated:
         if value is not None and not simulate:
             raise typer.BadParameter("belongs to --simulate", param_hint=name)
     ending = EndRequest()
@@ -83,7 +88,13 @@ def run(
     logger.info("robot file: %s", found.words)
     if (unlike := robot_files.unlike(path, config.robot.name)) is not None:
         logger.warning("%s", unlike)
-    simulated = _simulated(config, plant or PlantName.SIMPLE, str(path), friction) if simulate else None
+    simulation = None
+    if simulate:
+        from gateway.cli.simulation import Simulation  # noqa: PLC0415  # a real robot has no use for any of it
+
+        simulation = Simulation(
+            config, str(path), plant=plant or PlantName.SIMPLE, friction=friction, faults=fault or [], script=script
+        )
     config = _with_overrides(config, out=out, endpoint=endpoint)
     wanted = config.recording.enabled or config.recording.incidents.enabled
     if wanted:
@@ -91,19 +102,16 @@ def run(
     notifier = Notifier()
     with ExitStack() as stack:
         # The bus first: a second service for the same motors is refused before it records or announces anything.
-        bus = CanBuses(config) if simulated is None else SimulatedBus(config, simulated)
+        bus = CanBuses(config) if simulation is None else simulation.bus
         stack.callback(bus.close)
         latch = EstopLatch(EstopFile(_state_directory(state, config, os.environ), config.robot.name))
         stack.callback(latch.close)
-        told = None if simulated is None else (plant or PlantName.SIMPLE).value
+        told = None if simulation is None else simulation.plant.value
         recorder = Recorder(config, text, str(path), plant=told) if wanted else NullRecorder()
         stack.callback(recorder.close, CLOSE_RECORDING_S)
         link = stack.enter_context(ZenohLink(config, text))
+        after_cycle = None if simulation is None else simulation.attach(config, link, stack)
         realtime.enter()  # now that every thread of the link exists
-        after_cycle = _truth_teller(bus, link) if isinstance(bus, SimulatedBus) else None
-        if isinstance(bus, SimulatedBus) and after_cycle is not None and bus.robot.signals:
-            client = stack.enter_context(Client(config.robot.name, connect=config.zenoh.listen))
-            after_cycle = _sensing(bus.robot, config, client, after_cycle)
         service = Service(
             config,
             bus=bus,
@@ -116,13 +124,6 @@ def run(
         )
         code = service.run()
     raise typer.Exit(code)
-
-
-def _simulated(config: RobotConfig, plant: PlantName, origin: str, friction: float | None) -> SimulatedRobot:
-    robot = SimulatedRobot(config, plant=chosen_plant(config, plant, origin))
-    if friction is not None:
-        robot.set_floor(friction)
-    return robot
 
 
 def _with_overrides(config: RobotConfig, *, out: Path | None, endpoint: str | None) -> RobotConfig:
@@ -138,30 +139,3 @@ def _state_directory(option: Path | None, config: RobotConfig, environment: Mapp
         return option
     given, _, _ = environment.get("STATE_DIRECTORY", "").partition(":")
     return Path(given or config.recording.directory)
-
-
-def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> Callable[[int, Outputs], None]:
-    """Publishes, with every odometry, where the simulated robot really is."""
-
-    def publish_truth(now_ns: int, outputs: Outputs) -> None:
-        if outputs.odometry is not None:
-            link.publish_truth(bus.robot.truth.pose, now_ns * 1e-9)
-
-    return publish_truth
-
-
-def _sensing(
-    robot: SimulatedRobot, config: RobotConfig, client: Client, also: Callable[[int, Outputs], None]
-) -> Callable[[int, Outputs], None]:
-    """Publishes, with every odometry, what the sensors that come over Zenoh would; what there is not, none does."""
-    names = {sensor.name: QUANTITIES[sensor.kind] for sensor in config.sensor if sensor.bus is None}
-
-    def sense(now_ns: int, outputs: Outputs) -> None:
-        also(now_ns, outputs)
-        if outputs.odometry is not None:
-            for name, signal in robot.signals.items():
-                told = dict(zip(names[name], signal.tell(now_ns), strict=True))
-                if any(value is not None for value in told.values()):
-                    client.sense(name, **told)
-
-    return sense

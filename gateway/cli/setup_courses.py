@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from gateway.cli.asking import allow, ask
-from gateway.cli.operate import Connect, open_client
+from gateway.cli.operate import open_client
 from gateway.cli.output import complain, errors
 from gateway.cli.rewriting import drafted, keep, rewrite
 from gateway.client import Client
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from replay.calibrate import ways
 
 EXIT_REFUSED = 1
+TOLD_TIMEOUT_S = 5.0
 RECORDED_S = 2.0  # after which the recorder has surely written a cycle
 
 RobotFile = Annotated[Path, typer.Argument(help="Robot file of the running robot; it is changed.")]
@@ -155,9 +156,7 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
     with open_client(str(file), wanted.connect, zero_on_exit=True) as client:
         if config_of(client) != config:
             raise CourseDriveError(f"the running robot was started with another robot file than {file}")
-        state = client.status()
-        if state is not None:
-            session_of(state)  # so that it is not driven for nothing
+        _check_told(client, truth=wanted.truth)
         names = ", ".join(name.value for name in wanted.courses)
         allow(
             f"{config.robot.name} will drive {len(plan)} courses from rest to rest ({names}), each up to "
@@ -174,6 +173,15 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
         last = done[-1].end + round(RECORDED_S * config.loop.rate)
         client.wait_for_state(lambda state: state.status.cycle >= last, 2.0 * RECORDED_S)
     return Courses(robot=config.robot.name, course=done)
+
+
+def _check_told(client: Client, *, truth: bool) -> None:
+    """So that it is not driven for nothing. Raises CourseDriveError."""
+    state = client.wait_for_state(lambda _: not truth or client.truth() is not None, TOLD_TIMEOUT_S)
+    if state is None:
+        what = "where it really is, as a simulated robot does" if truth else "its state"
+        raise CourseDriveError(f"the robot does not tell {what}")
+    session_of(state)
 
 
 def _one(client: Client, config: RobotConfig, name: CourseName, wanted: Wanted) -> Course:
@@ -207,9 +215,9 @@ def _course(name: CourseName, length: float, driven: Driven, end: tuple[float | 
 
 
 def _moved(start: TruthMessage | None, end: TruthMessage | None) -> tuple[float, float, float]:
-    """In the frame of the start. Raises CourseDriveError."""
+    """In the frame of the start."""
     if start is None or end is None:
-        raise CourseDriveError("--truth: the robot does not tell where it really is; a simulated one does")
+        raise CourseDriveError("the robot told no ground truth")
     c, s = cos(start.theta), sin(start.theta)
     x, y = end.x - start.x, end.y - start.y
     return c * x + s * y, c * y - s * x, end.theta - start.theta
@@ -238,6 +246,3 @@ def _keep(place: Path, courses: Courses) -> None:
         rewrite(place, text)
     else:
         place.write_text(text, encoding="utf-8")
-
-
-__all__ = ["Connect", "Gathered", "UnmeasuredError", "Wanted", "gather", "write"]

@@ -36,7 +36,7 @@ from gateway.setup.courses import REPEATED, geometry_courses
 
 if TYPE_CHECKING:
     from replay.calibrate.covariance import Growth, Judged
-    from replay.calibrate.fitting import Consistency
+    from replay.calibrate.likelihood import Consistency
 
 
 def covariance(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name

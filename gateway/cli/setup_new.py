@@ -10,8 +10,8 @@ import typer
 
 from gateway.cli.asking import NotAllowedError, ask
 from gateway.cli.output import EXIT_CONFIG, complain, console, errors, print_json
-from gateway.config import ConfigError, parse, read
-from gateway.core.examination import examine
+from gateway.config import read
+from gateway.core.examination import examined
 from gateway.setup.fields import AnswerError, Value
 from gateway.setup.interview import Question, robot_file
 
@@ -131,10 +131,8 @@ def _flat(table: Mapping[str, object], before: str = "") -> dict[str, object]:
 
 def _checked(text: str, file: Path) -> tuple[list[str], list[str]]:
     """Problems and warnings of `drivegate check`."""
-    try:
-        return [], list(examine(parse(text, str(file)), str(file)).warnings)
-    except ConfigError as error:
-        return list(error.problems), []
+    told = examined(text, str(file))
+    return list(told.problems), [] if told.report is None else list(told.report.warnings)
 
 
 def _tell(file: Path, problems: Sequence[str], warnings: Sequence[str]) -> None:

@@ -21,6 +21,9 @@ from gateway.setup.prepare_odrive import A_YES
 
 EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 LONGEST_FILE: Final = 4_000_000  # bytes
+INTERRUPTED: Final = (
+    "interrupted: what was written and not yet saved is gone once the controller was switched off and on"
+)
 _STYLES: Final = {Verdict.OK: "green", Verdict.NO: "red", Verdict.UNKNOWN: "yellow"}
 
 
@@ -58,10 +61,11 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
             kept = work.correct(file, text, watchdog, yes=yes)
         if calibrate:
             work.calibrate(yes=yes)
-    except (PrepareError, AdapterError, RewriteError, CorrectionError) as error:
+    except (PrepareError, AdapterError, RewriteError, CorrectionError, KeyboardInterrupt) as error:
+        reason = INTERRUPTED if isinstance(error, KeyboardInterrupt) else str(error)
         if json:
-            print_json({"ok": False, "reason": str(error)})
-        complain(str(error))
+            print_json({"ok": False, "reason": reason})
+        complain(reason)
         raise typer.Exit(EXIT_UNAVAILABLE if isinstance(error, AdapterError) else EXIT_REFUSED) from None
     bad = wrong(work.lines)
     if json:

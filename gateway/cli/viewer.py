@@ -4,6 +4,7 @@ It is a program that travels in the package of Rerun's SDK; an installation for 
 """
 
 import os
+import shutil
 import socket
 import subprocess
 import sysconfig
@@ -48,7 +49,7 @@ def view(session: Path) -> None:
         command += ["--serve-web", "--web-viewer-port", str(WEB_PORT)]
         console.print(f"look at {_page(WEB_PORT, DATA_PORT)} (Ctrl-C ends it)", highlight=False)
     try:
-        subprocess.run([*command, *files], check=False)
+        subprocess.run(_tied([*command, *files]), check=False)
     except KeyboardInterrupt:
         return
 
@@ -82,7 +83,7 @@ class LiveViewer:
             command += ["--memory-limit", WINDOW_MEMORY, "--expect-data-soon"]
         # In a session of its own: a Ctrl-C reaches only us, who end it.
         self._process = subprocess.Popen(
-            command,
+            _tied(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -158,6 +159,12 @@ def installed() -> Path:
 
 def _program() -> Path:
     return Path(sysconfig.get_path("purelib")) / "rerun_cli" / "rerun"
+
+
+def _tied(command: list[str]) -> list[str]:
+    """The kernel ends it with the thread that starts it, whatever ends that (PR_SET_PDEATHSIG); where setpriv is."""
+    program = shutil.which("setpriv")
+    return command if program is None else [program, "--pdeathsig", "KILL", "--", *command]
 
 
 def _has_display() -> bool:

@@ -16,6 +16,7 @@ STATE = "state"
 EVENT = "event"
 REACHABLE = "reachable"  # published on change, and asked
 TRUTH = "truth"  # of a simulated robot
+FAULT = "sim/fault"  # asked, of a simulated robot: what is to break; no real one has this key
 VIEW = "view"  # published while somebody subscribes
 PUBLISHED = (ODOMETRY, STATE, EVENT, TRUTH, REACHABLE)
 ALIVE = "alive"  # a liveliness token

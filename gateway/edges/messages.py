@@ -11,6 +11,7 @@
 | `cmd/reference`      | get        | `{"motor": name (optional), "angle": rad (optional, 0)}`; reply as to a reset  |
 | `cmd/set`            | get        | `{"setting": name, "value": number}`; reply as to a reset                      |
 | `cmd/mark`           | get        | `{"text": words}`, an event and an incident of their own; reply as to a reset  |
+| `sim/fault`          | get        | faults as TOML, only of a simulated robot; reply as to a reset                 |
 | `odometry`           | subscribe  | `{"t", "x", "y", "theta", "vx", "vy", "wz", "covariance": [9], "residual"}`    |
 | `state`              | subscribe  | `{"t", every field of Status in words, "extras": {...}}`                       |
 | `event`              | subscribe  | `{"t", "level", "code", "text"}`                                               |

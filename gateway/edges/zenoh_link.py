@@ -137,6 +137,14 @@ class ZenohLink:
         """Where the simulated robot really is, at `t` seconds."""
         self._outbox.leave(keys.TRUTH, partial(messages.encode_truth, pose, t))
 
+    def answer(self, rest: str, handle: Callable[[bytes], str | None]) -> None:
+        """Answers one more key, as a reset is: `handle` says what is wrong with a payload. In a thread of its own."""
+        self._receivers.answer(self._key(rest), partial(self._answer_at_once, rest, handle), ring=MAX_LOOKS)
+
+    def mark(self, text: str, now_ns: int) -> None:
+        """Leaves a mark to the loop, as if somebody had asked for it; nobody is answered."""
+        self._mailbox.questions.append(Request(RequestKind.MARK, 0, now_ns, text=text))
+
     def close(self) -> None:
         """Publishes what waits, withdraws from the network and ends the threads, in bounded time."""
         self._outbox.calls.put(False)
@@ -231,6 +239,14 @@ class ZenohLink:
             answer(query, key, request)
             return
         self._questions.ask(query, key, request)
+
+    def _answer_at_once(self, rest: str, handle: Callable[[bytes], str | None], query: zenoh.Query) -> None:
+        key = self._key(rest)
+        if str(query.key_expr) != key:
+            answer(query, key, f"{rest} {NOT_EXACT}")
+            return
+        reason = handle(query.payload.to_bytes() if query.payload else b"")
+        answer(query, key, reason, ok=reason is None)
 
     def _answer_newest(self, asked: str, told: str, query: zenoh.Query) -> None:
         with query:

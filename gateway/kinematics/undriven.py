@@ -13,13 +13,13 @@ from math import pi, remainder, sqrt
 from typing import Final, NamedTuple
 
 from gateway.arithmetic import angle_of
+from gateway.kinematics.contract import MAX_CONDITION
 from gateway.kinematics.linear import Matrix, Vector, decompose
 from gateway.types import PLANAR
 
 WEAK: Final = 0.05  # of what the wheels push at most: below it they hardly drive a motion; source: ours
 _TURN: Final = PLANAR.index("wz")
 _HARDLY: Final = 0.01  # of a motion: what is less is not worth a word
-_ALIKE: Final = 1e-6  # of singular values: their motions may be mixed as one likes
 _DEGREES: Final = 180.0 / pi
 
 
@@ -40,19 +40,20 @@ class Beyond(NamedTuple):
 def undriven(
     rows: Matrix, length: float, *, least: float = WEAK, beyond: Sequence[Beyond] = ()
 ) -> tuple[Undriven, ...]:
-    """Those with a share below `least`, the weakest first. `rows`: rim rows; `length`: of the robot, m."""
+    """Those with a share up to `least`, the weakest first. `rows`: rim rows; `length`: of the robot, m."""
     found = decompose(tuple(_turning(row, 1.0 / length) for row in rows))
     most = found.values[0]
-    lost = [motion for value, motion in zip(found.values, found.right) if value <= _ALIKE * most]
-    weak = [pair for pair in zip(found.values, found.right) if _ALIKE * most < pair[0] < least * most]
-    told = [Undriven(_words(motion, length, beyond), 0.0) for motion in _simplest(lost)]
-    return (*told, *[Undriven(_words(motion, length, beyond), value / most) for value, motion in reversed(weak)])
+    weak = [pair for pair in zip(found.values, found.right) if pair[0] <= least * most]
+    return tuple([Undriven(_words(motion, length, beyond), value / (most or 1.0)) for value, motion in reversed(weak)])
 
 
 def refusal(rows: Matrix, length: float, *, beyond: Sequence[Beyond] = ()) -> str:
     """What cannot be driven at all, as a sentence about the robot."""
-    words = ", nor ".join(one.words for one in undriven(rows, length, least=_ALIKE, beyond=beyond))
-    return f"it cannot {words}: that turns no wheel, so no wheel drives or holds it"
+    found = undriven(rows, length, least=1.0 / MAX_CONDITION, beyond=beyond)
+    found = found or undriven(rows, length, least=1.0, beyond=beyond)[:1]
+    return (
+        f"it cannot {', nor '.join([one.words for one in found])}: that turns no wheel, so no wheel drives or holds it"
+    )
 
 
 def doubt(rows: Matrix, length: float, *, beyond: Sequence[Beyond] = ()) -> str | None:
@@ -67,26 +68,6 @@ def doubt(rows: Matrix, length: float, *, beyond: Sequence[Beyond] = ()) -> str 
 def _turning(row: Vector, factor: float) -> Vector:
     """With the turn in another measure."""
     return tuple([part * factor if axis == _TURN else part for axis, part in enumerate(row)])
-
-
-def _simplest(motions: Sequence[Vector]) -> list[list[float]]:
-    """Of the same space, each with an axis that no other has (Gauss and Jordan): as few axes at once as can be."""
-    rows = [list(motion) for motion in motions]
-    found: list[list[float]] = []
-    while rows:
-        parts = [(abs(part), -place, -axis) for place, row in enumerate(rows) for axis, part in enumerate(row)]
-        _, place, axis = max(parts)
-        first = rows.pop(-place)
-        first = [part / first[-axis] for part in first]
-        rows = [_without(row, first, -axis) for row in rows]
-        found = [_without(row, first, -axis) for row in found]
-        found.append(first)
-    return found
-
-
-def _without(row: list[float], other: list[float], axis: int) -> list[float]:
-    share = row[axis]
-    return [one - share * two for one, two in zip(row, other)]
 
 
 def _words(motion: Sequence[float], length: float, beyond: Sequence[Beyond]) -> str:

@@ -4,10 +4,10 @@ How this works
 --------------
 Everything comes in one file in memory: pieces of the ring, the causes, and what the header of a session says. They are
 run through the core once for the verdict, which is in the header, and once more written, as a session of one segment.
-The file has another name until it is closed and on the disk. Room is made among the incidents of this robot, oldest
-first by their numbers: a clock may start in 1970. One process at a time writes in the folder; a lock, which the kernel
-frees, tells them apart from what one that died has left. It is the least of all that runs here: it gets what
-processor time is left over, and is the first to go when memory is short.
+The file has another name until it is closed and on the disk; then its digest is noted beside it, for `sha256sum`.
+Room is made among the incidents of this robot (`gateway.recording.disk.expendable`). One process at a time writes in
+the folder; a lock, which the kernel frees, tells them apart from what one that died has left. It is the least of all
+that runs here: it gets what processor time is left over, and is the first to go when memory is short.
 """
 
 import contextlib
@@ -26,7 +26,20 @@ import rerun as rr
 
 from gateway.config import RobotConfig
 from gateway.recording.blueprint import blueprint
-from gateway.recording.disk import FOLDER_MODE, INCIDENTS, free_bytes, incidents, make_folder, new_incident, sync
+from gateway.recording.disk import (
+    FOLDER_MODE,
+    INCIDENTS,
+    UNFINISHED,
+    add_sum,
+    expendable,
+    forget_sums,
+    free_bytes,
+    incident_file,
+    incident_files,
+    make_folder,
+    new_incident,
+    sync,
+)
 from gateway.recording.failures import RecordingOffError, WriterDeadError
 from gateway.recording.header import header
 from gateway.recording.incidents import Order, Written
@@ -39,7 +52,6 @@ from gateway.recording.views import Views
 
 logger = logging.getLogger(__name__)
 
-UNFINISHED = ".part"
 BATCH_NS = 1_000_000_000
 NICE = 19
 STUCK_S = 60  # without any step, of some that take milliseconds on a computer at ease
@@ -96,21 +108,27 @@ def kept(order: Order, alive: Alive = lambda: None) -> Written:
 def _stored(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet]) -> Path:
     """`path`: without suffix."""
     folder, unfinished = path.parent, path.with_name(f"{path.name}{UNFINISHED}")
+    finished = path.with_name(f"{path.name}.rrd")
     try:
-        _make_room(folder, config, 0)
-        _write(unfinished, config, told, found)
+        _make_room(finished, config, 0)
+        digest = _write(unfinished, config, told, found)
         sync(unfinished)
-        _make_room(folder, config, unfinished.stat().st_size)
-        finished = unfinished.rename(path.with_name(f"{path.name}.rrd"))
+        _make_room(finished, config, unfinished.stat().st_size)
+        unfinished.rename(finished)
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
+    try:
+        add_sum(finished, digest)
+    except OSError as error:  # it is whole, and has a seal of its own
+        logger.warning("its digest is not noted: %s", error)
     sync(folder)
     sync(folder.parent)
     return finished
 
 
-def _write(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet]) -> None:
+def _write(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet]) -> str:
+    """SHA-256 of the file, hex."""
     rr.set_strict_mode(True)  # a mistake in a column is an error, not a warning and a hole
     segment = Segment(path, header=told, views=Views(config), blueprint=blueprint(config))
     last = told.first_cycle
@@ -120,7 +138,7 @@ def _write(path: Path, config: RobotConfig, told: Header, found: Iterable[Packet
         _write_batch(segment, batch.records, batch.gaps)
         segment.flush()
         last = batch.records[-1].inputs.cycle
-    segment.close(first_segment=1, final=True, last_cycle=last)
+    return segment.close(first_segment=1, final=True, last_cycle=last)
 
 
 def _write_batch(segment: Segment, records: Sequence[Record], gaps: Sequence[Gap]) -> None:
@@ -192,22 +210,28 @@ def clear(folder: Path, robot: str) -> None:
         path.unlink(missing_ok=True)
 
 
-def _make_room(folder: Path, config: RobotConfig, coming: int) -> None:
-    """Delete the oldest until `coming` bytes fit the budget and the disk has room. Raises IncidentError, OSError."""
+def _make_room(coming: Path, config: RobotConfig, size: int) -> None:
+    """Delete others until `size` bytes fit the budget and the disk has room. Raises IncidentError, OSError."""
+    folder, robot = coming.parent, config.robot.name
     budget, min_free = config.recording.incidents.budget, config.recording.min_free
-    if coming > budget:
-        raise IncidentError(f"it has {coming} bytes, recording.incidents.budget is {budget}")
-    found = [(path, path.lstat().st_size) for _, path in incidents(folder, config.robot.name)]
-    excess = max(sum(size for _, size in found) + coming - budget, min_free - free_bytes(folder))
-    if excess > sum(size for _, size in found):  # nothing is deleted in vain
+    if size > budget:
+        raise IncidentError(f"it has {size} bytes, recording.incidents.budget is {budget}")
+    named = incident_file(coming, robot)
+    assert named is not None
+    found = [(one.path, one.path.lstat().st_size) for one in expendable(incident_files(folder, robot), named)]
+    excess = max(sum(taken for _, taken in found) + size - budget, min_free - free_bytes(folder))
+    if excess > sum(taken for _, taken in found):  # nothing is deleted in vain
         free = free_bytes(folder)
         raise IncidentError(f"disk full: {free} bytes free at {folder}, recording.min_free is {min_free}")
-    for path, size in found:
+    gone: list[str] = []
+    for path, taken in found:
         if excess <= 0:
-            return
+            break
         path.unlink()
-        excess -= size
+        gone.append(path.name)
+        excess -= taken
         logger.warning("deleted %s to make room", path)
+    forget_sums(folder, gone)
 
 
 @contextlib.contextmanager

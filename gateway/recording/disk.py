@@ -7,7 +7,8 @@ is older is read from that and never from a clock, which may start in 1970. Whoe
 its folder, which the kernel frees with the process. Room is made among the sessions of one robot only: older sessions
 first, then the oldest closed segments of the one being written. Links are neither followed nor deleted. What a segment
 cannot say of its own last bytes stands beside it in `SHA256SUMS`, as the program of that name writes it.
-Incidents are single files in a folder of their own, with a number each, and room of their own.
+Incidents are single files in a folder of their own, with a number each, and room of their own. Of a fault that comes
+and goes for hours the first one tells most: what is neither the first nor the last of its cause on a day goes first.
 """
 
 import contextlib
@@ -16,7 +17,7 @@ import os
 import re
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -24,9 +25,10 @@ from typing import NamedTuple
 FOLDER_MODE, FILE_MODE = 0o750, 0o640  # readable for the group of the service, whatever umask it was started with
 SUMS = "SHA256SUMS"
 INCIDENTS = "incidents"  # folder in the directory of the sessions
+UNFINISHED = ".part"
 _NUMBER_FILE = ".sequence"
 _SEGMENT = re.compile(r"segment-(\d{5,})\.rrd")
-_SUM = re.compile(r"([0-9a-f]{64})  (segment-\d{5,}\.rrd)")
+_SUM = re.compile(r"([0-9a-f]{64})  ([\w.-]+\.rrd)")
 _DIGITS = 18  # of the longest number that is believed
 
 
@@ -36,6 +38,15 @@ class Disposable(NamedTuple):
     path: Path
     bytes: int
     segment: int | None  # its number; None for a session
+
+
+class IncidentFile(NamedTuple):
+    """An incident by its name: number, day by the clock (UTC, as in the name), cause."""
+
+    number: int
+    day: str
+    cause: str
+    path: Path
 
 
 def new_session(directory: Path, robot: str, started_wall_ns: int) -> Path:
@@ -113,11 +124,53 @@ def noted_sums(folder: Path) -> dict[str, str] | None:
     return {match[2]: match[1] for match in map(_SUM.fullmatch, text.splitlines()) if match}
 
 
+def forget_sums(folder: Path, names: Collection[str]) -> None:
+    """Of files that are deleted. Raises OSError."""
+    noted = noted_sums(folder)
+    if noted is None or noted.keys().isdisjoint(names):
+        return
+    new = (folder / SUMS).with_suffix(UNFINISHED)
+    new.write_text("".join(f"{sum_}  {name}\n" for name, sum_ in noted.items() if name not in names), encoding="ascii")
+    new.chmod(FILE_MODE)
+    new.rename(folder / SUMS)
+
+
 def incidents(folder: Path, robot: str) -> list[tuple[int, Path]]:
     """Incidents of this robot with their numbers, oldest first."""
-    name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}Z-[a-z_]+-(\d{{1,{_DIGITS}}})\.rrd")
-    found = ((name.fullmatch(path.name), path) for path in folder.iterdir())
-    return sorted((int(match[1]), path) for match, path in found if match and not path.is_symlink())
+    return [(one.number, one.path) for one in incident_files(folder, robot)]
+
+
+def incident_files(folder: Path, robot: str) -> list[IncidentFile]:
+    """The same with what their names say."""
+    found = (incident_file(path, robot) for path in folder.iterdir())
+    return sorted(one for one in found if one is not None and not one.path.is_symlink())
+
+
+def incident_file(path: Path, robot: str) -> IncidentFile | None:
+    """What a name says; None: it is none of this robot's."""
+    match = re.fullmatch(rf"{re.escape(robot)}-(\d{{8}})T\d{{6}}Z-([a-z_]+)-(\d{{1,{_DIGITS}}})\.rrd", path.name)
+    return None if match is None else IncidentFile(int(match[3]), match[1], match[2], path)
+
+
+def expendable(found: Sequence[IncidentFile], coming: IncidentFile) -> list[IncidentFile]:
+    """In which order they go to make room for the one that comes; oldest first in `found`.
+
+    First those that are neither the first nor the last of their cause on a day; then day by day, and in each the first
+    ones behind the others. Which day is older is told by numbers, and not by the clock.
+    """
+    every = [*found, coming]
+    first = {(one.day, one.cause): one for one in reversed(every)}
+    last = {(one.day, one.cause): one for one in every}
+    begins = {one.day: one.number for one in reversed(every)}
+
+    def place(one: IncidentFile) -> tuple[bool, int, bool, int]:
+        series = one.day, one.cause
+        is_first, is_last = one == first[series], one == last[series]
+        if not (is_first or is_last):
+            return False, 0, False, one.number
+        return True, begins[one.day], is_first, one.number
+
+    return sorted(found, key=place)
 
 
 def new_incident(folder: Path, robot: str, wall_ns: int, cause: str) -> str:

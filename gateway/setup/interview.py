@@ -161,8 +161,11 @@ def _omni(draft: _Drafting) -> _Chassis:
         angle -= 2.0 * pi * round(angle / (2.0 * pi))
         sine, cosine = sin_cos(angle)
         lines += ["[[robot.wheel]]", f'motor = "wheel_{place + 1}"', f"x = {_short(reach * cosine)}"]
-        lines += [f"y = {_short(reach * sine)}", f"axis_angle = {angle!r}   # of its axle, outward, from forward"]
-        lines += [f"radius = {radius}", ""]
+        lines += [
+            f"y = {_short(reach * sine)}",
+            f"axis_angle = {angle!r}   # of its axle, outward, from forward; turned positively it drives to its left",
+            *(f"radius = {radius}", ""),
+        ]
     return _Chassis(lines, tuple(f"wheel_{place + 1}" for place in range(count)), count, radius)
 
 

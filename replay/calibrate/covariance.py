@@ -16,7 +16,8 @@ import numpy as np
 
 from gateway.config import RobotConfig
 from gateway.setup.courses import CourseError, Courses
-from replay.calibrate.fitting import DOUBT, Consistency, Grown, Spread, consistency, likeliest, systematic
+from replay.calibrate.fitting import DOUBT
+from replay.calibrate.likelihood import Consistency, Grown, Spread, consistency, likeliest, systematic
 from replay.calibrate.ways import Array, Driven, mapping, off, steps, tape_noise, traced
 
 KEYS: Final = ("variance_per_metre", "heading_variance_per_radian", "heading_variance_per_metre")

@@ -33,6 +33,7 @@ WIDEST: Final = 0.05  # half the interval, of a length; of an angle, rad
 WIDEST_RATIO: Final = 0.02
 SLIP: Final = 0.01  # of the ways of wheels, that no motion of a rigid body explains
 PIECE: Final = 50  # steps that are looked at together for that
+UNMOVED: Final = 0.01  # of the interval, by which a place has to move to be written anew
 UNDRIVEN: Final = 0.02  # of the ways of wheels, below which a way to move was not driven
 _AXES: Final = ("forward or back", "to the side", "a turn that is no whole number of turns, both ways")
 
@@ -225,8 +226,8 @@ class Wheels:
             old = self._kind.numbers(self._rows[place], old_angle)
             along, across = self._kind.lever(angle)
             more = (lever - along * wheel.x - across * wheel.y) / (along * along + across * across)
-            moved = ((*key, "x"), wheel.x + more * along), ((*key, "y"), wheel.y + more * across)
-            kept = tuple((at, value) for at, value in moved if abs(value - getattr(wheel, str(at[-1]))) > 0.0)
+            moved = ("x", wheel.x, more * along), ("y", wheel.y, more * across)
+            kept = tuple(((*key, axis), at + by) for axis, at, by in moved if abs(by) > UNMOVED * half[2])
             names = [f"{wheel.motor}.{name}" for name in ("radius", self._kind.angle, "lever")]
             found += [
                 Number(

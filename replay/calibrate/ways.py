@@ -85,7 +85,7 @@ def _driven(place: int, course: Course, series: Sequence[Series], clock: dict[in
     for one in series:
         if not one.times.size or one.times[0] > begin + STILL_S or one.times[-1] < end - STILL_S:
             raise CourseError(f"{label}: motor {one.name} told no angle at its begin or end")
-        moved = [abs(np.diff(np.interp([at, at + STILL_S], one.times, one.angles))[0]) for at in (begin, end - STILL_S)]
+        moved = [abs(np.diff(np.interp([at - STILL_S, at], one.times, one.angles))[0]) for at in (begin, end)]
         if max(moved) > STILL:
             raise CourseError(f"{label}: {one.name} turns at its begin or end: it has to go from rest to rest")
     angles = np.array([np.interp(grid, one.times, one.angles) for one in series])

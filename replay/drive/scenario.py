@@ -17,7 +17,7 @@ from gateway import robot_files
 from gateway.config import RobotConfig, load
 from gateway.core.snapshot import State
 from gateway.types import Event, Inputs, Mode, Outputs, Request, RequestKind, Twist, TwistCommand
-from replay.drive import faults
+from replay.drive.breaking import Breaking
 from replay.drive.closed_loop import ClosedLoop
 from replay.drive.commanders import Asked, Commanders
 from replay.drive.expectations import verdicts, watchers
@@ -107,12 +107,12 @@ class _Drive:
         recording: Recording | None,
         given: Given,
     ) -> None:
-        self._config = config
         self._seed = scenario.seed
         plant = plant_of(config.robot, scenario.plant)
         self._loop = ClosedLoop(config, joint_angles=scenario.start.joint, plant=plant)
         if scenario.start.swivel is not None:
             self._loop.bus.robot.set_swivel(scenario.start.swivel)
+        self._breaking = Breaking(self._loop.bus, config)
         self._start_ns = self._loop.next_ns
         self._end_ns = self._start_ns + round(scenario.seconds * _SECOND_NS)
         self._commanders = Commanders(given.commands_from(self._start_ns))
@@ -231,19 +231,9 @@ class _Drive:
         self._loop.pause(now_ns + round((fault.seconds or 0.0) * _SECOND_NS))
 
     def _break(self, fault: Fault, now_ns: int) -> None:
-        bus = self._loop.bus
-        bus.advance(now_ns)
-        names = faults.concerned(fault.kind, self._config, motor=fault.motor, bus=fault.bus, sensor=fault.sensor)
-        lasting = fault.seconds is not None
-        faults.begin(fault.kind, bus, names, fault.value, seed=self._seed + self._planned, lasting=lasting)
-        if fault.kind is FaultKind.CLEAR and fault.motor is None:
-            faults.clear_surroundings(bus, [one.name for one in self._config.bus])
+        names = self._breaking.begin(fault, now_ns, seed=self._seed + self._planned)
         if fault.seconds is not None:
-            self._plan(now_ns + round(fault.seconds * _SECOND_NS), partial(self._mend, fault, names))
-
-    def _mend(self, fault: Fault, names: tuple[str, ...], now_ns: int) -> None:
-        self._loop.bus.advance(now_ns)
-        faults.end(fault.kind, self._loop.bus, names, fault.value)
+            self._plan(now_ns + round(fault.seconds * _SECOND_NS), partial(self._breaking.end, fault, names))
 
 
 class _Summary:

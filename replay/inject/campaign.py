@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import NamedTuple
 
-from replay.inject.injection import Recorded, run, scenario_of, script_of
+from replay.drive.script import script_of
+from replay.inject.injection import Recorded, run, scenario_of
 from replay.inject.laws import LAWS
 from replay.inject.random_drives import happenings
 from replay.inject.shrink import Shrunk, shrink

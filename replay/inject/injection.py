@@ -8,36 +8,17 @@ and every cycle is held against the laws of motion (`replay.inject.laws`). What 
 again: it belongs to the way that was driven then.
 """
 
-import re
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from gateway.config import ConfigError, RobotConfig, parse, parse_as, read
+from gateway.config import ConfigError, RobotConfig, parse
 from gateway.types import Request, RequestKind, TwistCommand
-from replay.drive.faults import RULES, FaultKind, Target
 from replay.drive.moment import Moment
 from replay.drive.scenario import Given, Recording, Result, Watch, run_scenario
-from replay.drive.scenario_file import MAX_SECONDS, At, Scenario, check_names
+from replay.drive.scenario_file import MAX_SECONDS, Scenario, check_names
+from replay.drive.script import Script
 from replay.inject import laws
 from replay.sessions.reader import Session, SessionError
 from replay.sim.plants.contract import PlantName
-
-# KIND@T, and how long, whom and how much: power_off@5:front_left, frames_lost@3+0.5=0.3, silence@2:teleop, estop@4
-_WORDS = re.compile(
-    r"(?P<kind>\w+)@(?P<t>[\d.]+)(\+(?P<seconds>[\d.]+))?(:(?P<name>[\w-]+))?(=(?P<value>-?[\d.e+-]+))?"
-)
-_FORM = "KIND@SECONDS[+LASTING][:NAME][=VALUE]"
-
-
-class Script(BaseModel):
-    """The whole file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
-    at: list[At] = []
 
 
 class Recorded(NamedTuple):
@@ -97,35 +78,6 @@ def recorded(session: Session) -> Recorded:
     )
 
 
-def read_script(path: Path) -> Script:
-    """Raises ConfigError."""
-    return parse_as(Script, read(path), str(path))
-
-
-def in_words(words: str) -> dict[str, Any]:
-    """One thing that happens, from the command line, as an entry of a script. Raises ConfigError."""
-    found = _WORDS.fullmatch(words)
-    if found is None:
-        raise ConfigError("--fault", [f"{words!r}: must be {_FORM}, as in power_off@5:front_left"])
-    kind, name = found["kind"], found["name"]
-    t, seconds, value = (
-        None if found[key] is None else _number(words, found[key]) for key in ("t", "seconds", "value")
-    )
-    if kind == "silence":
-        return {"t": t, "silence": name or ""}
-    if kind not in {one.value for one in FaultKind}:
-        return {"t": t, "request": kind}
-    target = _target(FaultKind(kind))
-    given = {"kind": kind, "seconds": seconds, "value": value, target: name}
-    return {"t": t, "fault": {key: one for key, one in given.items() if one is not None}}
-
-
-def script_of(entries: list[dict[str, Any]], seed: int = 0) -> Script:
-    """Checked like a file. Raises ConfigError."""
-    text = "\n".join([f"seed = {seed}", f"at = {_inline(entries)}"])
-    return parse_as(Script, text, "--fault")
-
-
 def inject(
     drive: Recorded, script: Script, *, watch: Watch | None = None, recording: Recording | None = None
 ) -> Injected:
@@ -157,25 +109,3 @@ def run(
 
     result = run_scenario(scenario, drive.config, watch=seen, recording=recording, given=drive.given)
     return Injected(result, laws.violations(moments, drive.config, can_brake=False))
-
-
-def _target(kind: FaultKind) -> str:
-    return {Target.BUS: "bus", Target.SENSOR: "sensor"}.get(RULES[kind].target, "motor")
-
-
-def _number(words: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError("--fault", [f"{words!r}: {text!r} is no number"]) from None
-
-
-def _inline(value: object) -> str:
-    """As TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float | int) else f'"{value}"'

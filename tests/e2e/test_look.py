@@ -1,6 +1,7 @@
 """The live view of a running service: what is seen is what is recorded, and who looks on costs no cycle, no record."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -128,6 +129,15 @@ def test_a_viewer_that_is_closed_ends_the_command(tmp_path: Path, free_port: int
     with RobotProcess("omni4", tmp_path, free_port) as robot, watching(robot, tmp_path / "watch.log") as watch:
         os.kill(children(watch.pid)[0], signal.SIGTERM)
         assert watch.wait(20.0) == 0
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="the kernel is told by it")
+def test_one_who_is_killed_leaves_no_viewer_behind(tmp_path: Path, free_port: int) -> None:
+    with RobotProcess("omni4", tmp_path, free_port) as robot, watching(robot, tmp_path / "watch.log") as watch:
+        (viewer,) = children(watch.pid)
+        os.kill(viewer, signal.SIGSTOP)
+        watch.kill()
+        eventually(lambda: not running(viewer))
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])

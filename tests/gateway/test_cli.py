@@ -27,11 +27,27 @@ def test_the_daemon_never_imports_rerun() -> None:
     assert "pyarrow" in modules("demo"), "so that the test above can fail"
 
 
+def test_the_daemon_of_a_real_robot_knows_of_no_faults_that_can_be_given() -> None:
+    assert not {one for one in modules("run") if one.startswith("replay.drive") or one == "gateway.cli.simulation"}
+    assert "replay.drive.live_faults" in modules("fault"), "so that the test above can fail"
+
+
 def test_the_list_of_commands_needs_none_of_them() -> None:
     heavy = {"zenoh", "can", "rerun", "pyarrow", "numpy", "pydantic"}
     assert not modules(None) & heavy
-    assert not modules("check") & (heavy - {"pydantic"})
+    assert not modules("check") & (heavy - {"pydantic"} | {"matplotlib", "jinja2", "scipy", "tomlkit", "msgspec"})
+    assert not modules("check") & {"gateway.setup.picture", "gateway.cli.picture", "xml.etree", "asyncio"}
     assert "zenoh" in modules("send"), "so that the test above can fail"
+
+
+def test_garbage_is_collected_again_once_everything_is_imported() -> None:
+    """A switch that stays off would fill the memory of a daemon."""
+    code = (
+        "import atexit, gc, sys; from gateway.cli import main; sys.argv = ['drivegate', 'check', 'moby', '--json']; "
+        "atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 10_000)); main()"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert run.stdout.splitlines()[-1] == "True True"
 
 
 @pytest.mark.parametrize("name", COMMANDS)

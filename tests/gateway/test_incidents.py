@@ -19,7 +19,7 @@ from gateway.core.health import FaultKind
 from gateway.recording import bundle
 from gateway.recording import incidents as incidents_module
 from gateway.recording.bundle import IncidentError, clear, kept
-from gateway.recording.disk import INCIDENTS, incidents, new_incident
+from gateway.recording.disk import INCIDENTS, SUMS, IncidentFile, expendable, incidents, new_incident
 from gateway.recording.incident import MOST_CAUSES, Cause, causes
 from gateway.recording.incidents import MOST_WINDOWS, STUCK, Incidents, Order, WritingProcess, Written
 from gateway.recording.packets import Gap, IncidentReport, Packet, Record, Snapshot, encode
@@ -323,7 +323,7 @@ def finished(process: WritingProcess) -> Written:
 
 
 def left(directory: Path) -> list[str]:
-    return sorted(path.name for path in (directory / INCIDENTS).iterdir())
+    return sorted(path.name for path in (directory / INCIDENTS).iterdir() if path.name != SUMS)
 
 
 def test_in_a_process_of_its_own(order: Order, tmp_path: Path) -> None:
@@ -430,7 +430,7 @@ def test_no_room_is_told_and_nothing_deleted_in_vain(order: Order, tmp_path: Pat
     assert left(tmp_path) == [Path(str(first.file)).name]
     config = with_budget(short(robot(tmp_path), tmp_path), 1_000_000)
     with pytest.raises(IncidentError, match=r"it has 2000000 bytes, recording.incidents.budget is 1000000"):
-        bundle._make_room(tmp_path / INCIDENTS, config, 2_000_000)
+        bundle._make_room(tmp_path / INCIDENTS / "moby-20260921T141320Z-mark-2.rrd", config, 2_000_000)
     assert left(tmp_path) == [Path(str(first.file)).name]
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OSError, match="file"):
@@ -450,6 +450,98 @@ def test_the_oldest_go_by_their_numbers_and_only_those_of_this_robot(order: Orde
     assert [number for number, _ in incidents(folder, "moby")] == [8, 9]
     assert Path(str(written.file)).name.endswith("-mark-9.rrd")
     assert {*others, "moby-19700101T000001Z-estop-9.rrd"} <= set(left(tmp_path))
+
+
+def test_its_digest_is_noted_as_long_as_it_is_there(order: Order, tmp_path: Path) -> None:
+    folder = tmp_path / INCIDENTS
+    first = Path(str(kept(into(order, tmp_path)).file))
+    second = Path(str(kept(into(order, tmp_path)).file))
+    check = ["sha256sum", "--check", "--strict", SUMS]
+    done = subprocess.run(check, cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"{first.name}: OK\n{second.name}: OK\n")
+    assert (folder / SUMS).stat().st_mode & 0o777 == 0o640
+    (folder / "moby-20260921T000000Z-mark-3.rrd").write_bytes(bytes(1_000_000))
+    budget = 1_000_000 + 2 * first.stat().st_size + second.stat().st_size // 2
+    third = Path(str(kept(into(order, tmp_path, budget=budget)).file))
+    assert left(tmp_path) == sorted([first.name, "moby-20260921T000000Z-mark-3.rrd", third.name])
+    assert subprocess.run(check, cwd=folder, capture_output=True, check=False).returncode == 0
+    assert second.name not in (folder / SUMS).read_text()
+    (folder / SUMS).write_text(f"{'0' * 64}  {third.name}\n")
+    assert "does not fit SHA256SUMS" in str(open_session(third).problem)
+    assert open_session(first).problem is None, "one that is older, or was copied, is not in it"
+
+
+# Days from one to the next (a clock may be wrong), cause, bytes.
+ARRIVALS = st.lists(
+    st.tuples(
+        st.sampled_from([0, 0, 0, 0, 1, -5]),
+        st.sampled_from(["fault_silent", "fault_silent", "bus_down", "estop"]),
+        st.integers(1, 40),
+    ),
+    max_size=60,
+)
+
+
+@given(arrivals=ARRIVALS, budget=st.integers(40, 200))
+@settings(max_examples=300)
+def test_the_middle_of_a_series_goes_first_and_its_first_last(
+    arrivals: list[tuple[int, str, int]], budget: int
+) -> None:
+    """Laws of the order, each from what is there and what has gone, and not from how it is found."""
+    there: dict[IncidentFile, int] = {}
+    day = 50
+    for number, (days, cause, size) in enumerate(arrivals):
+        day += days
+        coming = IncidentFile(number, str(day), cause, Path(str(number)))
+        before = sorted(there)
+        order = expendable(before, coming)
+        assert sorted(order) == before, "each of them once, and not the one that comes"
+        gone: list[IncidentFile] = []
+        while sum(there.values()) + size > budget:
+            gone.append(order[len(gone)])
+            del there[gone[-1]]
+        there[coming] = size
+        check_order(before, coming, gone)
+
+
+def check_order(before: list[IncidentFile], coming: IncidentFile, gone: list[IncidentFile]) -> None:
+    left_ = [one for one in before if one not in gone]
+    for one in gone:
+        if in_the_middle(one, before, coming):
+            assert not [other for other in left_ if in_the_middle(other, before, coming) and other < one]
+            continue
+        assert not [other for other in left_ if in_the_middle(other, before, coming)], "those go first"
+        began = {other.day: other.number for other in reversed([*before, coming])}
+        assert not [other for other in left_ if began[other.day] < began[one.day]], "then what is of the oldest day"
+        if not siblings(one, before, before=True):
+            same_day = [other for other in left_ if other.day == one.day]
+            assert not [other for other in same_day if siblings(other, before, before=True)], (
+                "a first goes last of its day"
+            )
+            assert not [other for other in same_day if other < one]
+
+
+def siblings(one: IncidentFile, found: list[IncidentFile], *, before: bool) -> list[IncidentFile]:
+    """Of the same cause on the same day, before it or behind."""
+    return [
+        other
+        for other in found
+        if (other.day, other.cause) == (one.day, one.cause) and other != one and (other.number < one.number) is before
+    ]
+
+
+def in_the_middle(one: IncidentFile, found: list[IncidentFile], coming: IncidentFile) -> bool:
+    return bool(siblings(one, found, before=True) and siblings(one, [*found, coming], before=False))
+
+
+def test_a_fault_that_flaps_for_hours_leaves_the_first_of_it_and_of_every_other() -> None:
+    there = [IncidentFile(1, "20260921", "estop", Path("1")), IncidentFile(2, "20260921", "fault_silent", Path("2"))]
+    for number in range(3, 1000):
+        coming = IncidentFile(number, "20260921", "fault_silent", Path(str(number)))
+        if len(there) == 4:
+            there.remove(expendable(there, coming)[0])
+        there.append(coming)
+    assert [one.number for one in there] == [1, 2, 998, 999]
 
 
 def test_names(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from matplotlib.textpath import TextPath
 
 from gateway.chassis import CHASSIS, AnyRobot
-from gateway.chassis.contract import Chassis
+from gateway.chassis.contract import Chassis, Drawing
 from gateway.chassis.mecanum import MecanumRobot
 from gateway.chassis.odd import OddRobot
 from gateway.chassis.omni import OmniRobot
@@ -151,6 +151,22 @@ def test_the_arrows_are_the_wheel_matrix(name: str) -> None:
         assert speed(rolls) * wheel.radius == pytest.approx(1.0, abs=0.02)
         for slides in picture.ways("slides", motor) if robot.drawing().rollers else ():
             assert speed(slides) * wheel.radius == pytest.approx(0.0, abs=0.02)
+
+
+class Reversed(OmniRobot):
+    """Its drawing has every wheel the other way round, which is the same wheel."""
+
+    def drawing(self) -> Drawing:
+        drawing = super().drawing()
+        return drawing._replace(wheels=tuple(one._replace(rolling=one.rolling + pi) for one in drawing.wheels))
+
+
+def test_the_matrix_decides_and_not_the_drawing() -> None:
+    robot = ROBOTS["omni4"]
+    drawn = [sign.way for sign in signs(robot) if isinstance(sign, WheelSign)]
+    reversed_ = [sign.way for sign in signs(Reversed(**dict(robot))) if isinstance(sign, WheelSign)]
+    for one, other in zip(drawn, reversed_, strict=True):
+        assert other == pytest.approx(one)
 
 
 def test_the_joint_turns_the_body_counter_clockwise() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cli.run import _sensing
+from gateway.cli.simulation import sensing, together
 from gateway.client import Client
 from gateway.config import ConfigError, Sensor, parse
 from gateway.core.engine import Engine
@@ -273,7 +273,7 @@ def test_a_simulated_robot_tells_what_sensors_by_zenoh_would_with_every_odometry
     """A robot whose wheels do not go apart has nothing that a range would tell."""
     world, told, truths = World("moby", edit=with_sensors), Told(), []
     robot = world.bus.robot
-    sense = _sensing(robot, world.config, cast(Client, told), lambda now_ns, _: truths.append(now_ns))
+    sense = together(lambda now_ns, _: truths.append(now_ns), sensing(robot, world.config, cast(Client, told)))
     for _ in range(250):
         outputs = world.cycle()
         sense(world.now_ns, outputs)

@@ -17,6 +17,7 @@ from drivers import DRIVERS
 from drivers.contract import Identity, RenamingOverCan
 from gateway.cli.app import build
 from gateway.config import parse
+from gateway.edges.claims import Claims, InUseError
 from gateway.setup.renaming import KINDS, IdWatch, RenamingError, way
 from replay.sim.controllers.odrive import SimulatedODrive
 from tests.drivers.rig import can_frame
@@ -127,6 +128,15 @@ def test_without_a_yes_no_id_changes_and_nothing_moves(
     assert (one.node, other.node) == (0, 0)
     assert all(frame.remote for _, frame in bench.sent)
     assert set(bench.plant.angles) == {0.0}
+
+
+def test_a_gateway_on_the_bus_is_left_alone() -> None:
+    bench, _, _ = fresh()
+    claims = Claims("socketcan", "can0", [0x7FF])
+    with pytest.raises(InUseError):
+        called(bench, "odrive-0.6")
+    claims.release()
+    assert bench.sent == []
 
 
 # -- by hand ----------------------------------------------------------------------------------------------------------

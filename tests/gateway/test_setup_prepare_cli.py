@@ -11,7 +11,10 @@ from gateway.config import load
 from gateway.edges.claims import Claims
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
+from replay.sim.controllers.vesc import SimulatedVesc
 from tests.gateway.test_setup_cli import Stand, called, document
+from tests.setup_robots import TRUE
+from tests.world import robot_text
 
 ENCODER_MS = "axis0.config.can.encoder_msg_rate_ms"
 BAUD_RATE = "can.config.baud_rate"
@@ -212,6 +215,7 @@ def test_a_waived_watchdog_is_given(stand: Callable[..., Stand]) -> None:
     assert rows(prepared(one, *arguments))["front", "endpoints in the robot file"][2] == "unknown"
     first = prepared(one, *arguments, "--watchdog", "0.1")
     assert document(first)["kept"] is not None
+    assert "run it once more to set it" in first.stderr
     motor = load(one.file)[0].motor[0]
     assert (motor.watchdog is not None, motor.watchdog_waiver) == (True, None)
     assert motor.options["watchdog_enable_endpoint"] == 188
@@ -230,6 +234,36 @@ def test_robomaster_controllers_are_listened_to(stand: Callable[..., Stand]) -> 
     gone = prepared(one, "rear_right")
     assert (gone.exit_code, rows(gone)["rear_right", "answers"][1:]) == (1, ("silent", "no"))
     assert "relay" in gone.output
+
+
+def test_vescs_are_listened_to_and_told_what_to_set(
+    stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TRUE, "omni4_vesc", lambda: robot_text("omni4_vesc"))
+    one = stand("omni4_vesc")
+    right = prepared(one)
+    assert right.exit_code == 0, right.output
+    first = one.config.motors_in_order()[0]
+    assert rows(right)[first.name, "STATUS_5"][2] == "ok"
+    assert rows(right)[first.name, "command timeout"][1:] == ("not told", "unknown")
+    by_hand = document(right)["by_hand"]
+    assert isinstance(by_hand, dict)
+    assert f"VESC ID = {first.id};" in by_hand[first.name][0]
+    device = one.server.robot.devices[first.name]
+    assert isinstance(device, SimulatedVesc)
+    monkeypatch.setattr(device, "_clocks", (((9,), device._clocks[0][1]),))  # somebody ticked STATUS 1 alone
+    wrong = prepared(one, first.name)
+    assert (wrong.exit_code, rows(wrong)[first.name, "STATUS_5"][1:]) == (1, ("never heard", "no"))
+
+
+def test_ctrl_c_says_what_is_left(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    one = stand("kiwi")
+    monkeypatch.setattr("gateway.cli.preparing.listen", interrupted)
+    result = prepared(one, "front")
+    assert (result.exit_code, "not yet saved is gone" in reason(result)) == (1, True)
 
 
 def test_a_motor_that_is_not_in_the_file(stand: Callable[..., Stand]) -> None:

@@ -120,11 +120,20 @@ def test_one_that_is_not_heard_has_no_zero(tmp_path: Path) -> None:
     assert (code, "encoder tells nothing" in str(found["reason"])) == (1, True)
 
 
-def test_another_joint_that_turns_is_not_this_one(tmp_path: Path) -> None:
-    person = Person(tmp_path, moby(0.7, 1), moby(0.0, 1), speed=0.0)
-    person.bench.plant.by_hand[0] = 1.0
-    _, found = person.calls("--yes")
-    assert "no encoder told a turn" in str(found["reason"]) or "turn it alone" in str(found["reason"])
+@pytest.mark.parametrize("also", [False, True])
+def test_another_joint_that_turns_is_not_this_one(tmp_path: Path, also: bool) -> None:
+    person = Person(tmp_path, moby(0.7, 1), moby(0.0, 1), speed=1.5 if also else 0.0)
+    answers = person.answers
+
+    def with_a_wheel(question: str) -> str:
+        answer = answers(question)
+        if "press Enter, then turn" in question:
+            person.bench.plant.turn_by_hand(0, 2.0, TURN_S)
+        return answer
+
+    person.answers = with_a_wheel  # type: ignore[method-assign]
+    code, found = person.calls("--yes")
+    assert (code, "turn it alone" in str(found["reason"])) == (1, True), found
     assert person.file.read_text() == moby(0.0, 1)
 
 

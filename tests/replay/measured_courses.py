@@ -1,16 +1,25 @@
-"""Measured courses without a robot: bodies led along a course by true kinematics, and ends measured with tape."""
+"""Measured courses: of bodies led by true kinematics, of simulated robots; and ends measured with tape."""
 
+from collections.abc import Sequence
 from math import cos, sin
+from pathlib import Path
 
 import numpy as np
 
 from gateway.chassis.contract import Chassis
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
-from gateway.config import RobotConfig
+from gateway.config import RobotConfig, parse
 from gateway.setup.courses import Course, CourseName, Courses, legs
-from gateway.types import Twist
+from gateway.types import ZERO_TWIST, Mode, Pose, Request, RequestKind, Twist, TwistCommand, TwistFrame
 from replay.calibrate.ways import Array, Driven
+from replay.drive.closed_loop import ClosedLoop
+from replay.drive.recording import SessionRecording
+from replay.sim.plants import plant_of
+from replay.sim.plants.contract import Plant
 
+WALL_NS = 1_790_000_000_000_000_000
+COMMAND_S = 0.02
+REST_S = 1.2  # in which it comes to rest
 STEP = 0.05  # s
 
 
@@ -66,3 +75,68 @@ class Body:
         if not self._trails:
             rates = np.array(self._true.wheel_speeds(moved, ()))
         self._angles = self._angles + STEP * rates
+
+
+def drive_courses(folder: Path, text: str, plan: Sequence[CourseName], plant: Plant, *, length: float = 1.0) -> Courses:
+    """On the simulated robot of a plant, with the robot file of the text, recorded; ends are the plant's own."""
+    config = parse(text, "robot file")
+    tuned = plant_of(config.robot).reflected_inertia
+    loop = ClosedLoop(config, plant=plant, commissioned=tuned)
+    folder.mkdir(parents=True, exist_ok=True)
+    recording = SessionRecording(config, text, "robot file", directory=folder, started_wall_ns=WALL_NS)
+    every = round(COMMAND_S * config.loop.rate)
+    number = 0
+
+    def run(twist: Twist, seconds: float, requests: Sequence[Request] = ()) -> None:
+        nonlocal number
+        for place in range(round(seconds * config.loop.rate)):
+            commands = (
+                [TwistCommand("teleop", twist, TwistFrame.BODY, None, loop.next_ns)] if place % every == 0 else []
+            )
+            cycle = loop.cycle(commands=commands, requests=requests if place == 0 else ())
+            assert all(reply.ok for reply in cycle[1].replies), cycle[1].replies
+            recording.put(*cycle, loop.engine.snapshot)
+            number += 1
+
+    run(ZERO_TWIST, 0.5)
+    names = [config.robot.motor_names()[place] for place in config.robot.kinematics().steered]
+    joint = next((one.name for one in config.motor if one.encoder == "incremental" and one.name in names), None)
+    run(ZERO_TWIST, 3.0, [Request(RequestKind.REFERENCE, 7, loop.next_ns, joint, 0.0)] if joint else [])
+    assert loop.engine.mode is Mode.DRIVE
+    found = []
+    for name in plan:
+        begin, start = number - 1, loop.bus.robot.truth.pose
+        for leg in legs(name, length, config):
+            run(leg.twist, leg.seconds)
+            run(ZERO_TWIST, REST_S)
+        x, y, turn = relative(start, loop.bus.robot.truth.pose)
+        found.append(
+            Course(
+                course=name,
+                length=length,
+                session=str(recording.session),
+                begin=begin,
+                end=number - 1,
+                x=x,
+                y=y,
+                turn=turn,
+            )
+        )
+    recording.close()
+    return Courses(robot=config.robot.name, course=found)
+
+
+def relative(start: Pose, end: Pose) -> tuple[float, float, float]:
+    """The end in the frame of the start."""
+    c, s = cos(start.theta), sin(start.theta)
+    x, y = end.x - start.x, end.y - start.y
+    return c * x + s * y, c * y - s * x, end.theta - start.theta
+
+
+def with_tape(courses: Courses, rng: np.random.Generator) -> Courses:
+    """The same courses as a person measures them."""
+    measured = []
+    for one in courses.course:
+        x, y, turn = map(float, tape_of(courses, np.array([one.x, one.y, one.turn]), rng))
+        measured.append(one.model_copy(update={"x": x, "y": y, "turn": turn}))
+    return courses.model_copy(update={"course": measured})

@@ -13,8 +13,9 @@ from gateway.config import ConfigError, parse
 from gateway.types import Mode
 from replay.compare.likeness import moments
 from replay.drive.scenario import Given
+from replay.drive.script import Script, in_words, script_of
 from replay.inject.campaign import campaign
-from replay.inject.injection import Recorded, Script, in_words, inject, recorded, script_of
+from replay.inject.injection import Recorded, inject, recorded
 from replay.inject.kept import keep, still_broken
 from replay.sessions.reader import open_session
 from tests.test_laws_can_fail import ROWS, Removed

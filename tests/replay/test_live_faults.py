@@ -1,0 +1,156 @@
+"""Faults of a simulated robot that runs: given in the one vocabulary, happening at their time, told in words."""
+
+import re
+
+import pytest
+
+from gateway.config import ConfigError
+from gateway.types import Mode, Request, RequestKind, Twist
+from replay.drive.faults import RULES, FaultKind
+from replay.drive.live_faults import LIVE, MAX_WAITING, LiveFaults, entries_of, words
+from replay.drive.script import Script, in_words, script_of, text_of
+from replay.sim.plants.contract import PlantName
+from tests.world import World
+
+SECOND_NS = 1_000_000_000
+VALUES = {
+    **{FaultKind.FRAMES_LOST: "=0.3", FaultKind.FRAMES_DELAYED: "=0.01", FaultKind.FRAMES_DOUBLED: "=0.2"},
+    **{
+        FaultKind.ENCODER_JUMP: "=0.5",
+        FaultKind.BRAKE_WEAK: "=0.5",
+        FaultKind.PUSH: "+0.5=10",
+        FaultKind.SLOPE: "=0.1",
+    },
+    **{FaultKind.IMPACT: "+0.5=10", FaultKind.FRICTION: "=0.4", FaultKind.MASS: "=100", FaultKind.SENSOR_JUMP: "=0.1"},
+}
+
+
+def script(*said: str, seed: int = 0) -> Script:
+    return script_of(entries_of(said), seed)
+
+
+def robot(name: str = "omni4") -> tuple[World, LiveFaults]:
+    world = World(name)
+    world.start()
+    return world, LiveFaults(world.bus, world.config, PlantName.SIMPLE)
+
+
+def run(world: World, faults: LiveFaults, seconds: float, twist: Twist | None = None) -> list[str]:
+    """So many seconds; what was told, with its time in s since the first cycle."""
+    begin_ns, told = world.now_ns, []
+    for index in range(round(seconds * SECOND_NS / world.period_ns)):
+        world.cycle(commands=[world.command(twist)] if twist is not None and index % 5 == 0 else [])
+        if (said := faults.step(world.now_ns)) is not None:
+            told.append(f"{(world.now_ns - begin_ns) / SECOND_NS:.2f} {said}")
+    return told
+
+
+def test_it_happens_at_its_time_and_ends_at_its_own() -> None:
+    world, faults = robot()
+    faults.give(script("power_off@0.2+1.4:front_left", "bus_down@3:can0"))
+    told = run(world, faults, 3.2, Twist(0.3, 0.0, 0.0))
+    assert told == ["0.20 power_off+1.4:front_left", "1.60 end of power_off+1.4:front_left", "3.00 bus_down:can0"]
+    modes = [outputs.mode for _, outputs in world.records]
+    assert Mode.DEGRADED in modes
+    assert "bus_down" in world.codes()
+
+
+def test_now_is_the_next_cycle_and_without_a_name_it_is_everyone() -> None:
+    world, faults = robot()
+    faults.give(script("cable_out"))
+    assert run(world, faults, 0.2) == ["0.00 cable_out"]
+    assert world.codes().count("fault_silent") == 4
+
+
+def test_clear_mends_and_forgets_what_was_to_come() -> None:
+    """Also the end of what it has mended: it would undo what was broken since."""
+    world, faults = robot()
+    faults.give(script("power_off+1:front_left", "encoder_frozen@2:rear_left"))
+    run(world, faults, 0.5)
+    faults.give(script("clear", "power_off@0.2:front_left"))
+    told = run(world, faults, 3.0)
+    assert told == ["0.56 clear 0.55 s ago, power_off:front_left 0.35 s ago"]
+    assert not world.bus.robot.devices["front_left"].acknowledges
+
+
+def test_clear_of_one_motor_leaves_the_others() -> None:
+    world, faults = robot()
+    faults.give(script("power_off+1:front_left", "power_off+1:rear_left", "frames_doubled@0.6=0.1"))
+    run(world, faults, 0.5)
+    faults.give(script("clear:front_left"))
+    (told,) = run(world, faults, 1.0)
+    assert (
+        told
+        == "0.56 clear:front_left 0.55 s ago, frames_doubled=0.1 0.45 s ago, end of power_off+1:rear_left 0.05 s ago"
+    )
+
+
+def test_all_of_it_is_told_however_fast_it_happens() -> None:
+    """By a core that holds back marks which follow each other too fast: every word, in time order."""
+    world, faults = robot()
+    faults.give(script(*[f"slope@{0.1 * index}={0.01 * index:g}" for index in range(30)]))
+    marks: list[Request] = []
+    for _ in range(1500):
+        world.cycle(requests=marks)
+        told = faults.step(world.now_ns)
+        marks = [] if told is None else [Request(RequestKind.MARK, 0, world.now_ns, text=told)]
+    texts = ", ".join(event.text for event in world.events if event.code == "mark")
+    assert [float(value) for value in re.findall(r"slope=([\d.]+)", texts)] == [0.01 * index for index in range(30)]
+
+
+@pytest.mark.parametrize("kind", FaultKind, ids=lambda one: one.value)
+def test_every_fault_is_said_as_it_was_typed(kind: FaultKind) -> None:
+    said = f"{kind.value}{VALUES.get(kind, '')}"
+    if kind not in LIVE:
+        with pytest.raises(ConfigError, match="must be one of"):
+            entries_of([said])
+        return
+    (at,) = script(said).at
+    assert at.fault is not None
+    assert words(at.fault) == said
+    assert (kind in VALUES) == (RULES[kind].value is not None and RULES[kind].default is None)
+
+
+@pytest.mark.parametrize(
+    ("said", "problem"),
+    [
+        ("silence@1:teleop", "only a fault can be given while it runs"),
+        ("estop@1", "only a fault can be given while it runs"),
+        ("power_off@1:wheel", "fault.motor = 'wheel': there is front_left"),
+        ("bus_down:can7", "fault.bus = 'can7': there is can0"),
+        ("impact@1+0.1=5", "needs a caster"),
+        ("loop_pause@1+1", "SIGSTOP"),
+        ("sensor_silent@1", "needs a [[sensor]] on a bus"),
+    ],
+)
+def test_what_is_not_of_this_robot_is_refused_and_nothing_of_it_happens(said: str, problem: str) -> None:
+    world, faults = robot()
+    given = script_of([in_words("power_off", now=True), in_words(said, now=True)])
+    with pytest.raises(ConfigError, match=problem.replace("[", r"\[")):
+        faults.give(given)
+    assert run(world, faults, 0.1) == []
+
+
+def test_a_crowd_of_them_is_refused() -> None:
+    world, faults = robot()
+    faults.give(script(*["slope@9=0.1"] * MAX_WAITING))
+    with pytest.raises(ConfigError, match=f"at most {MAX_WAITING}"):
+        faults.give(script("slope@1=0.1"))
+    run(world, faults, 0.1)
+    with pytest.raises(ConfigError, match=f"at most {MAX_WAITING}"):
+        faults.give(script("slope@1=0.1"))
+    faults.give(script("clear"))
+    run(world, faults, 0.1)
+    faults.give(script("slope@1=0.1"))
+
+
+@pytest.mark.parametrize("said", ["encoder_freeze", "power-off", "", "@3", "bus_off"])
+def test_an_unknown_one_is_told_with_all_that_there_are(said: str) -> None:
+    with pytest.raises(ConfigError, match=r"must be one of power_off, power_on"):
+        entries_of([said])
+
+
+def test_what_is_sent_is_what_was_said() -> None:
+    entries = entries_of(["power_off@1+0.5:front_left", "frames_lost=0.3", "clear"])
+    assert script_of(entries, 7) == script("power_off@1+0.5:front_left", "frames_lost=0.3", "clear", seed=7)
+    assert text_of(entries, 7).startswith("seed = 7\n")
