@@ -283,7 +283,7 @@ def bundled_robots() -> str:
 def terminal(robot: str) -> str:
     """A session of a person at a terminal, as it was kept."""
     kept = (TERMINAL / f"{robot}.txt").read_text(encoding="utf-8")
-    return f"```text\n{kept.rstrip()}\n```"
+    return f'<div class="terminal" markdown="1">\n\n```text\n{kept.rstrip()}\n```\n\n</div>'
 
 
 def source(file: str, *names: str) -> str:

@@ -36,7 +36,7 @@ YES: Final = r"Type yes [^\n]*: $"
 
 ODRIVE: Final = {
     "Which motor controllers?": "odrive 0.6",
-    "Do you have flat_endpoints.json": "yes",
+    "Do you know the endpoints": "yes",
     "Which version": "0.6.10",
     "Endpoint of enable_watchdog": "188",
     "Of watchdog_timeout": "189",
