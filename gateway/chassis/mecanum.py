@@ -41,7 +41,11 @@ class MecanumPose(Section):
     x: Annotated[Metres, Field(description="of its point on the floor, forward of the middle")]
     y: Annotated[Metres, Field(description="of its point on the floor, to the left of the middle")]
     roller_angle: Annotated[
-        Angle, Field(description="of the axis of the roller that touches the floor, counter-clockwise from forward")
+        Angle,
+        Field(
+            description="of the axis of the roller that touches the floor, counter-clockwise from forward (on top of "
+            "the wheel, seen from above, it lies mirrored); a wheel that turns positively rolls forward"
+        ),
     ]
     radius: Annotated[Length, Field(description="from the axle to the floor")]
 

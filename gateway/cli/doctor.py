@@ -28,6 +28,7 @@ from gateway.edges.can_link import CanLink, parse_link
 from gateway.edges.host_checks import Finding, Grade, RealTime, Unit
 from gateway.edges.messages import StateMessage
 from gateway.edges.zenoh_session import LinkError
+from gateway.setup.prepare_odrive import unproven
 from gateway.types import Status
 
 SESSIONS = Path("/var/lib/drivegate")
@@ -110,6 +111,8 @@ def _robot(path: Path) -> Iterator[Finding]:
     for bus in config.bus:
         if bus.interface == "socketcan":
             yield from judge.interface(bus, link_of(bus.channel))
+    for words in unproven(config):
+        yield Finding("endpoints of ODrives", Grade.NOTE, words)
     yield from judge.real_time(_real_time(name, active=active, installed=unit is not None and unit.loaded == "loaded"))
     directory = SESSIONS / path.stem if ours else Path(config.recording.directory)
     if config.recording.enabled or config.recording.incidents.enabled:

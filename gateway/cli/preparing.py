@@ -30,7 +30,6 @@ from gateway.setup.sdo import Exchange, Job
 
 ASKED_AT: Final = (0.4, 0.6, 0.8)  # of the time: a frame may be lost
 EXCHANGE_S: Final = 60.0
-LEAVE_S: Final = 0.1  # for the frame that has one restart
 PERIOD_NS: Final = 10_000_000
 
 
@@ -181,22 +180,25 @@ class Preparing:
     def _save(self, motor: Motor) -> None:
         """Raises PrepareError where it does not come back."""
         errors.print(f"{motor.name} saves its settings and restarts", highlight=False, markup=False)
+        if not self._restarted(motor, wait=True).finished:
+            raise PrepareError(f"{motor.name}: was not seen to restart within {PATIENCE_S:g} s: is it saved?")
+
+    def _restarted(self, motor: Motor, *, wait: bool) -> Restart:
+        """Told to, and waited for."""
         restart = Restart(motor.id)
         listen(
             *(self._place(motor), PATIENCE_S, restart.take),
-            going_on=lambda: not restart.finished,
+            going_on=lambda: not (restart.finished if wait else restart.told),
             questions=restart.questions,
         )
-        if not restart.finished:
-            raise PrepareError(f"{motor.name}: was not seen to restart within {PATIENCE_S:g} s: is it saved?")
+        return restart
 
     def _other_bit_rate(self, moved: Sequence[tuple[Motor, Setting]]) -> None:
         """To all before any of them restarts: from then on they hear neither each other nor us."""
         for motor, one in moved:
             self._put(motor, [one])
         for motor, _ in moved:
-            restart = Restart(motor.id)
-            listen(self._place(motor), LEAVE_S, restart.take, questions=restart.questions)
+            self._restarted(motor, wait=False)
         for bus in {motor.bus: self._buses[motor.bus] for motor, _ in moved}.values():
             complain(
                 f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: set {bus.channel} so, run it again"

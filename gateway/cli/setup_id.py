@@ -88,14 +88,16 @@ def _over_can(
     if to is None:
         return {"ok": not call.shared(), "ids": _table(call), "shared": call.shared()}
     one = call.chosen(serial)
-    check_free(call.ids, one, to)
-    check_at_rest([found for found in census.report(ROLL_S).found if found.driver == driver], one)
+    found = [found for found in census.report(ROLL_S).found if found.driver == driver]
+    check_free(call.ids, found, one, to)
+    check_at_rest(found, one)
     allow(
         f"{named(one)}: gets id {to}, keeps it and starts anew. What it does by itself at a start (calibration, closed "
         "loop) it will do: lift the robot so that no wheel touches the ground, and keep hands and cables away.",
         f"to give it id {to}",
         yes=yes,
     )
+    refuse_where_commanded(place.interface, place.channel)  # somebody may have started one meanwhile
     _give(place, how, one, to)
     console.print(f"serial {one.serial:012X} has id {to}, also after a restart", highlight=False)
     return {"ok": True, "serial": f"{one.serial:012X}", "from": one.id, "to": to}
@@ -103,12 +105,12 @@ def _over_can(
 
 def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
     """Raises RenamingError where it does not say so itself, before it is kept and after."""
-    _confirmed(place, how, one, to, [how.give(place.name, one.serial, to)], quiet_s=0.0)
-    _confirmed(place, how, one, to, [how.keep(place.name, to)], quiet_s=RESTART_S)
+    _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
+    _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
 
 
 def _confirmed(
-    place: Place, how: RenamingOverCan, one: Identity, to: int, first: Sequence[list[CanFrame]], *, quiet_s: float
+    place: Place, how: RenamingOverCan, one: Identity, to: int, first: Sequence[CanFrame], *, quiet_s: float
 ) -> None:
     """Sends this, and asks after so many seconds until it tells this id."""
     call = RollCall(how)
@@ -131,12 +133,12 @@ class _Again:
         self,
         ask: Callable[[], list[CanFrame]],
         *,
-        first: Sequence[list[CanFrame]] = (),
+        first: Sequence[CanFrame] = (),
         quiet_s: float = 0.0,
         every_s: float = ASK_EVERY_S,
     ) -> None:
         self._ask = ask
-        self._first = [frame for frames in first for frame in frames]
+        self._first = list(first)
         self._next_s = quiet_s
         self._every_s = every_s
 
@@ -155,8 +157,8 @@ def _by_hand(
     place: Place, driver: str, variant: str, steps: Callable[[int], tuple[str, ...]], to: int | None
 ) -> dict[str, object]:
     watch = IdWatch(driver, variant)
-    pings = _Again(lambda: DRIVERS[driver].questions(place.name, ()), every_s=PING_EVERY_S)
-    listen(place, BEFORE_S, watch.take, questions=pings)
+    pings = lambda: DRIVERS[driver].questions(place.name, ())  # noqa: E731  # a question is one line
+    listen(place, BEFORE_S, watch.take, questions=_Again(pings, every_s=PING_EVERY_S))
     before = sorted(watch.ids())
     console.print(f"{variant}: heard {', '.join(f'id {at}' for at in before) or 'nobody'}", highlight=False)
     if to is None:
@@ -167,7 +169,7 @@ def _by_hand(
     for number, step in enumerate(steps(to), start=1):
         errors.print(f"  {number}. {step}", highlight=False, markup=False)
     watch.begin()
-    again = _Again(lambda: DRIVERS[driver].questions(place.name, ()), every_s=PING_EVERY_S)
+    again = _Again(pings, every_s=PING_EVERY_S)
     listen(place, BY_HAND_S, watch.take, questions=again, going_on=lambda: not watch.over)
     came, went = watch.change()
     if not came:

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.correcting import correct
-from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.cli.rewriting import RewriteError, drafted
 from gateway.cli.setup_jog import EXIT_REFUSED, run, warning, words
 from gateway.config import ConfigError, RobotConfig, load
@@ -69,7 +69,7 @@ def tune(
         *(TuneError, JogError, CorrectionError, RewriteError, NotAllowedError, ConfigError, OSError),
         KeyboardInterrupt,
     ) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else in_words(error)
         if json:
             print_json({"ok": False, "reason": reason})
         complain(f"{reason}; {file} is as it was")

@@ -1,10 +1,12 @@
 """`drivegate sim`: the simulated robot as a process of its own, on the CAN interfaces of its robot file."""
 
+import json
 import logging
 import signal
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from threading import Event, Thread
 from typing import Annotated
 
@@ -13,12 +15,13 @@ import zenoh
 
 from gateway import robot_files
 from gateway.client import MAX_MESSAGE_SIZE
-from gateway.config import RobotConfig, load
+from gateway.config import ConfigError, RobotConfig, load
 from gateway.core.examination import examine
 from gateway.edges.messages import encode_truth
 from gateway.edges.python_can import can
 from gateway.edges.zenoh_session import Receivers, open_zenoh
 from replay.sim.controllers.contract import SECOND_NS
+from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.network_device import MotorsInterface
 from replay.sim.plants.contract import PlantName
 from replay.sim.robot import chosen_plant
@@ -28,11 +31,14 @@ TRUTH_RATE_HZ = 20.0
 _ENDING = {signal.SIGTERM, signal.SIGINT}
 
 
-def sim(
+def sim(  # noqa: PLR0917  # a command line: each parameter is an option with a name
     file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     channel: Annotated[str | None, typer.Option(help="CAN interface instead of the robot file's, e.g. vcan0.")] = None,
     tick: Annotated[int, typer.Option(min=1, max=20, help="Exchange frames every so many ms.")] = 1,
     plant: Annotated[PlantName, typer.Option(help="By what the robot moves.")] = PlantName.SIMPLE,
+    flat_endpoints: Annotated[
+        Path | None, typer.Option(help="Write flat_endpoints.json of its ODrives here, for `drivegate setup prepare`.")
+    ] = None,
     endpoint: Annotated[
         str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`).")
     ] = None,
@@ -52,9 +58,19 @@ def sim(
     with ExitStack() as stack:
         buses = _interfaces(config, channel, stack)
         server = SimulationServer(config, buses, tick_ns=tick * SECOND_NS // 1000, plant=moving)
+        if flat_endpoints is not None:
+            flat_endpoints.write_text(_flat(server, str(path)), encoding="utf-8")
         if endpoint is not None:
             stack.enter_context(_telling(server, config.robot.name, endpoint, ended))
         server.run(ended)
+
+
+def _flat(server: SimulationServer, origin: str) -> str:
+    """Raises ConfigError where there is no ODrive of firmware 0.6."""
+    for device in server.robot.devices.values():
+        if isinstance(device, SimulatedODrive) and device.setup.variant == "0.6":
+            return json.dumps(device.flat_endpoints(), indent=1)
+    raise ConfigError(origin, ["--flat-endpoints: has no motor with an odrive of variant 0.6"])
 
 
 def _await_signal(ended: Event) -> None:

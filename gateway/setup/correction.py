@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from difflib import unified_diff
-from math import floor, log10
 from typing import Any, NamedTuple
 
 import tomlkit
@@ -83,8 +82,9 @@ def with_options(text: str, options: Mapping[str, Mapping[str, str | int]], watc
 
 
 def rounded(value: float, half: float) -> float:
-    """To a hundredth of what is not sure of it."""
-    return round(value, 2 - floor(log10(half))) if half > 0.0 else value
+    """To about a hundredth of what is not sure of it."""
+    exponent = int(f"{half:e}".partition("e")[2])
+    return round(value, 2 - exponent) if half > 0.0 else value
 
 
 def _put(document: tomlkit.TOMLDocument, entry: Entry) -> None:

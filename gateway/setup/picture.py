@@ -26,6 +26,7 @@ _TOP: Final = 80.0  # of the title
 _SAMPLE: Final = 56.0  # px, width of what the legend explains
 _HALF_WIDTH: Final = 0.3  # of a wheel, in radii
 _ARROW: Final = 1.75  # of the arrow of a wheel, in radii from its middle
+_LEAST: Final = 22.0  # px, of a radius: the arrows of smaller wheels are not smaller
 _SLIDE: Final = 1.35
 _ASIDE: Final = 0.6
 _STRIPES: Final = (-0.75, -0.375, 0.0, 0.375, 0.75)  # where rollers are drawn, in radii along the wheel
@@ -226,8 +227,7 @@ def _wheel(paper: _Paper, ground: _Ground, sign: WheelSign) -> None:
 
 def _wheel_signs(paper: _Paper, ground: _Ground, sign: WheelSign, more: Sequence[str], number: str) -> None:
     """Where it rolls, where it slides, and where the axes beyond the twist move it; its number stands at its rear."""
-    x, y, _, radius = sign.wheel
-    here = (x, y)
+    here, radius = (sign.wheel.x, sign.wheel.y), max(sign.wheel.radius, _LEAST / ground.scale)
     if sign.roller is not None:
         free = (-sign.roller[1], sign.roller[0])
         for way in (1.0, -1.0):
@@ -333,7 +333,7 @@ def _explained(robot: Chassis) -> list[tuple[str, str]]:
     """By style, in the order of the legend."""
     more = " and ".join(robot.AXES[len(PLANAR) :])
     return [
-        ("rolls", "turned positively, the wheel rolls the robot this way over the floor"),
+        ("rolls", "turned positively, the wheel rolls this way over the floor"),
         ("slides", "its rollers let it slide along this line, both ways alike"),
         (
             "roller",

@@ -56,7 +56,7 @@ class RollCall:
             raise RenamingError("nobody tells a serial number: power, cable, bit rate, firmware?")
         if serial is None:
             if len(self.ids) > 1:
-                raise RenamingError(f"--serial is missing: {len(self.ids)} are there: {', '.join(self.lines())}")
+                raise RenamingError(f"--serial is missing: {len(self.ids)} are there: {'; '.join(self.lines())}")
             (one,) = self.ids
             return Identity(one, self.ids[one])
         try:
@@ -64,7 +64,7 @@ class RollCall:
         except ValueError:
             raise RenamingError(f"--serial {serial}: must be a number in hexadecimal") from None
         if one not in self.ids:
-            raise RenamingError(f"--serial {serial}: not there; there is {', '.join(self.lines())}")
+            raise RenamingError(f"--serial {serial}: not there; there is {'; '.join(self.lines())}")
         return Identity(one, self.ids[one])
 
     def lines(self) -> list[str]:
@@ -86,11 +86,14 @@ def named(one: Identity) -> str:
     return f"serial {one.serial:012X}, " + ("no id" if one.id is None else f"id {one.id}")
 
 
-def check_free(ids: Mapping[int, int | None], one: Identity, to: int) -> None:
-    """Raises RenamingError where another one has this id."""
+def check_free(ids: Mapping[int, int | None], found: Iterable[Found], one: Identity, to: int) -> None:
+    """Raises RenamingError where another one has this id; `found`: who was heard, whether it tells a serial or not."""
     for serial, at in ids.items():
         if at == to and serial != one.serial:
             raise RenamingError(f"id {to} is that of serial {serial:012X}: give that one another id first")
+    for other in found:
+        if other.id == to and to not in ids.values():
+            raise RenamingError(f"id {to} is that of {other.name}, which tells no serial: give that one another first")
 
 
 def check_at_rest(found: Iterable[Found], one: Identity) -> None:

@@ -1,4 +1,7 @@
-"""What sensors on a bus say of themselves, and why nothing of one is believed."""
+"""What sensors on a bus say of themselves, and why nothing of one is believed.
+
+Their frames are of our own layout (drivers/sensors/counted.py), so the meanings are ours, too.
+"""
 
 from typing import Final
 

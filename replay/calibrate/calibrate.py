@@ -1,7 +1,7 @@
 """From measured courses to the geometry of a robot file, each number with its interval, or to why not."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from replay.calibrate.fitting import (
 from replay.calibrate.models import Model, Number, Told, model_of
 from replay.calibrate.umbmark import Umbmark, umbmark
 from replay.calibrate.ways import Array, Driven, end_of, off, tape_noise, traced
+
+SHARE: Final = 0.01  # of a number, that lies in what courses do not tell: more, and it is not told
 
 
 class Refused(NamedTuple):
@@ -59,7 +61,7 @@ def calibrated(config: RobotConfig, courses: Courses, driven: Sequence[Driven]) 
     covariance = np.zeros((len(model.start),) * 2)
     covariance[np.ix_(free, free)] = fit.covariance
     numbers = model.numbers(values, covariance, quantile(fit.spare))
-    refused |= {one.name: _wide(one.half, one.unit, one.widest) for one in numbers if one.half > one.widest}
+    refused |= {one.name: _wide(one) for one in numbers if one.half > one.widest}
     return Calibrated(
         [one for one in numbers if one.name not in refused],
         model.told(values, covariance, quantile(fit.spare)),
@@ -79,13 +81,22 @@ def _best(
     """Places of the numbers that are told, reasons of those that are not, and all values. Raises CourseError."""
     free, refused = list(range(len(model.start))), dict[str, str]()
     while True:
-        found = _told(model, free, _solved(config, courses, model, driven, free))
+        found = _solved(config, courses, model, driven, free)
         if isinstance(found, Solved):
             return free, refused, found
-        refused[model.names[found.at]] = found.reason
-        free.remove(found.at)
+        untold = _untold(model, free, found)
+        refused |= {model.names[at]: reason for at, reason in untold.items()}
+        free = [at for at in free if at not in untold]
         if not model.optional or not free:
-            raise CourseError("; ".join(f"{name}: {why}" for name, why in refused.items()))
+            raise CourseError(_all(refused))
+
+
+def _all(refused: Mapping[str, str]) -> str:
+    """Reasons, each once, with the names it is of."""
+    names: dict[str, list[str]] = {}
+    for name, reason in refused.items():
+        names.setdefault(reason, []).append(name)
+    return "; ".join(f"{', '.join(some)}: {reason}" for reason, some in names.items())
 
 
 def _solved(
@@ -132,34 +143,15 @@ def _end(  # noqa: PLR0917  # all that an end hangs on
     )
 
 
-class _Least(NamedTuple):
-    """The place of a number that these courses do not tell."""
-
-    at: int
-    reason: str
-
-
-def _told(model: Model, free: Sequence[int], found: Solved | Untold) -> Solved | _Least:
-    """All, where every number is told well enough; else the one that is told least."""
-    if isinstance(found, Untold):
-        at = free[int(np.argmax(np.abs(found.direction)))]
-        direction = np.zeros(len(model.start))
-        direction[list(free)] = found.direction
-        return _Least(at, f"these courses do not tell it: {model.missing(direction)}")
-    halves = found.fit.halves
-    doubt = halves / model.widest[list(free)]
-    worst = int(np.argmax(doubt))
-    if doubt[worst] <= 1.0:
-        return found
-    at = free[worst]
-    told = _wide(float(halves[worst]), "", float(model.widest[at]))
-    return _Least(at, f"{told}; {model.missing(np.eye(len(model.start))[at])}")
+def _untold(model: Model, free: Sequence[int], found: Untold) -> dict[int, str]:
+    """Those that are not told, and why."""
+    mixed = [at for at, share in zip(free, found.share, strict=True) if share > SHARE]
+    together = f" (only mixed with {', '.join(model.names[at] for at in mixed)})" if len(mixed) > 1 else ""
+    return {at: f"these courses do not tell it{together}: {model.missing(at)}" for at in mixed}
 
 
-def _wide(half: float, unit: str, widest: float) -> str:
-    return (
-        f"only to +-{half:.2g}{' ' if unit else ''}{unit}, more than {widest:.2g}: repeat the courses, or longer ones"
-    )
+def _wide(one: Number) -> str:
+    return f"only to +-{one.half:.2g} {one.unit}, more than {one.widest:.2g}: {one.hint}"
 
 
 def _check_spare(driven: Sequence[Driven], sought: int) -> None:
@@ -173,12 +165,11 @@ def _check_spare(driven: Sequence[Driven], sought: int) -> None:
 
 def _refuse_misfits(courses: Courses, model: Model, driven: Sequence[Driven], values: Array, fit: Fit) -> None:
     """Raises CourseError for ends that are not those of tape and chance."""
-    if fit.odd is not None and fit.odd[1] < DOUBT:
-        one = driven[fit.odd[0]]
-        x, y, turn = off(one.end, end_of(model.way(one, values)))
+    if fit.odd is not None and fit.odd.doubt < DOUBT:
+        one = driven[fit.odd.place]
         raise CourseError(
-            f"{one.label}: does not fit the others: it ends {_words(x, y, turn)} from where these have it (by chance "
-            f"{fit.odd[1]:.1g}): a wrong number, or a wheel slipped there"
+            f"{one.label}: does not fit the others: it ends {_words(one.end, fit.odd.off)} from where these have it "
+            f"(by chance {fit.odd.doubt:.1g}): a wrong number, or a wheel slipped there"
         )
     if fit.doubt < DOUBT:
         length, turn = _left(model, driven, values)
@@ -189,10 +180,10 @@ def _refuse_misfits(courses: Courses, model: Model, driven: Sequence[Driven], va
         )
 
 
-def _words(x: float, y: float, turn: float) -> str:
-    parts = [f"{value:+.3f} {unit} in {name}" for name, value, unit in zip("xy", (x, y), "mm", strict=True)]
-    parts.append(f"{turn:+.3f} rad in turn")
-    return ", ".join(part for part, value in zip(parts, (x, y, turn), strict=True) if np.isfinite(value))
+def _words(end: Array, measured: Array) -> str:
+    """`measured`: off, of what was."""
+    kinds = [what for what, one in zip(("m in x", "m in y", "rad in turn"), end, strict=True) if np.isfinite(one)]
+    return ", ".join(f"{value:+.3f} {kind}" for value, kind in zip(measured, kinds, strict=True))
 
 
 def _left(model: Model, driven: Sequence[Driven], values: Array) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from replay.calibrate.ways import Array, Driven, mapping, off, steps, tape_noise
 KEYS: Final = ("variance_per_metre", "heading_variance_per_radian", "heading_variance_per_metre")
 UNITS: Final = ("m^2/m", "rad^2/rad", "rad^2/m")
 FACTOR: Final = 3.0  # by which an interval may reach either way
-LEAST: Final = 10  # courses
+LEAST: Final = 20  # courses: of fewer draws now and then one growth passes for another
 HOPELESS: Final = 200  # more of them nobody drives
 
 

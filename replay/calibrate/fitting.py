@@ -39,18 +39,27 @@ class End(NamedTuple):
     chance: Array
 
 
+class Odd(NamedTuple):
+    """The course that fits the others least, how likely that is, and by how much it is off what they say."""
+
+    place: int
+    doubt: float
+    off: Array
+
+
 class Fit(NamedTuple):
     """`covariance`: of the parameters; `spare`: degrees of freedom; `chance`: q.
 
-    `doubt`: how likely what is left over is, with q = 1; `odd`: the course that fits the others least, and how likely.
+    `left`: squares left over, each of its own variance; `doubt`: how likely what is left over is, with q = 1.
     """
 
     change: Array
     covariance: Array
     spare: int
     chance: float
+    left: float
     doubt: float
-    odd: tuple[int, float] | None
+    odd: Odd | None = None
 
     @property
     def halves(self) -> Array:
@@ -64,12 +73,14 @@ def quantile(spare: int) -> float:
 
 
 def singular(ends: Sequence[End], scales: Array) -> Array | None:
-    """The direction of parameters, each in its own measure, that these ends do not tell; None: they tell all."""
+    """How much of each parameter, 0 to 1, lies in what these ends do not tell; None: they tell all.
+
+    That is the diagonal of the projector onto the directions without information, each parameter in its own measure.
+    """
     information = _normal(_stacked(ends), 0.0)[0] * np.outer(scales, scales)
     values, vectors = np.linalg.eigh(information)
-    if values[0] > 0.0 and values[-1] < SINGULAR * values[0]:
-        return None
-    return np.asarray(vectors[:, 0])
+    blind = vectors[:, values * SINGULAR <= values[-1]]
+    return np.asarray(np.sum(blind * blind, axis=1)) if blind.size else None
 
 
 class Solved(NamedTuple):
@@ -80,9 +91,9 @@ class Solved(NamedTuple):
 
 
 class Untold(NamedTuple):
-    """These ends do not tell all numbers: not along this direction, each number in its own measure."""
+    """These ends do not tell all parameters; `share`: how much of each lies in what they do not tell."""
 
-    direction: Array
+    share: Array
 
 
 class NoFitError(ValueError):
@@ -94,9 +105,9 @@ def solved(ends_at: Callable[[Array], Sequence[End]], start: Array, scales: Arra
     values = start
     for _ in range(ROUNDS):
         ends = ends_at(values)
-        direction = singular(ends, scales)
-        if direction is not None:
-            return Untold(direction)
+        share = singular(ends, scales)
+        if share is not None:
+            return Untold(share)
         fit = _fit(ends)
         values = values + fit.change
         if not np.all(np.abs(values - start) < FAR * scales):
@@ -152,10 +163,11 @@ def _fit(ends: Sequence[End]) -> Fit:
 
     best = minimize_scalar(unlikelihood, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3})
     root = 0.0 if unlikelihood(0.0) <= best.fun else float(best.x)
-    information, pull, _, _ = _normal(stacks, root * root)
+    information, pull, left, _ = _normal(stacks, root * root)
     covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
     spare = sum(len(end.off) for end in ends) - len(pull)
-    return Fit(np.asarray(covariance @ pull), covariance, spare, root * root, _doubt(stacks, spare), None)
+    change = np.asarray(covariance @ pull)
+    return Fit(change, covariance, spare, root * root, left - float(pull @ change), _doubt(stacks, spare))
 
 
 def _doubt(stacks: Sequence[_Alike], spare: int) -> float:
@@ -163,21 +175,18 @@ def _doubt(stacks: Sequence[_Alike], spare: int) -> float:
     return float(chi2.sf(left - float(pull @ np.linalg.solve(information, pull)), max(spare, 1)))
 
 
-def _odd(ends: Sequence[End]) -> tuple[int, float] | None:
-    """The course that is least likely by what the others say, and how likely, of so many; None: too few to tell."""
+def _odd(ends: Sequence[End]) -> Odd | None:
+    """By all others, each left out in turn, and by their scatter where that is more than it should be."""
     size = ends[0].by.shape[1]
     sizes = np.sqrt(np.diag(np.linalg.inv(_normal(_stacked(ends), 0.0)[0])))
-    found: tuple[int, float] | None = None
+    found: list[Odd] = []
     for place, end in enumerate(ends):
         others = [*ends[:place], *ends[place + 1 :]]
         spare = sum(len(one.off) for one in others) - size
-        if spare < LEAST_SPARE or singular(others, sizes) is not None:
-            continue
-        fit = _fit(others)
-        left = end.off - end.by @ fit.change
-        noise = end.tape + fit.chance * end.chance + end.by @ fit.covariance @ end.by.T
-        ratio = float(left @ np.linalg.solve(noise, left)) / len(left)
-        doubt = min(1.0, len(ends) * float(f.sf(ratio, len(left), spare)))
-        if found is None or doubt < found[1]:
-            found = place, doubt
-    return found
+        if spare >= LEAST_SPARE and singular(others, sizes) is None:
+            fit = _fit(others)
+            off = np.asarray(end.off - end.by @ fit.change)
+            noise = end.tape + fit.chance * end.chance + end.by @ fit.covariance @ end.by.T
+            ratio = float(off @ np.linalg.solve(noise, off)) / (len(off) * max(1.0, fit.left / spare))
+            found.append(Odd(place, min(1.0, len(ends) * float(f.sf(ratio, len(off), spare))), off))
+    return min(found, key=lambda one: one.doubt, default=None)

@@ -30,7 +30,6 @@ from replay.calibrate.fitting import derivative
 from replay.calibrate.ways import Array, Driven, mapping, steps
 
 WIDEST: Final = 0.05  # half the interval, of a length; of an angle, rad
-WIDEST_RATIO: Final = 0.02
 SLIP: Final = 0.01  # of the ways of wheels, that no motion of a rigid body explains
 PIECE: Final = 50  # steps that are looked at together for that
 UNMOVED: Final = 0.01  # of the interval, by which a place has to move to be written anew
@@ -39,7 +38,10 @@ _AXES: Final = ("forward or back", "to the side", "a turn that is no whole numbe
 
 
 class Number(NamedTuple):
-    """One number of a robot file that was found: its `keys` and what they become; `half`: of the interval."""
+    """One number of a robot file that was found: its `keys` and what they become; `half`: of the interval.
+
+    `widest`: it is not written with a half of more than that; `hint`: what would make it narrower.
+    """
 
     name: str
     keys: tuple[tuple[tuple[str | int, ...], float], ...]
@@ -48,6 +50,7 @@ class Number(NamedTuple):
     half: float
     unit: str
     widest: float
+    hint: str
 
 
 class Told(NamedTuple):
@@ -65,7 +68,6 @@ class Model(Protocol):
     names: tuple[str, ...]
     start: Array
     scales: Array
-    widest: Array
     optional: bool
 
     def way(self, driven: Driven, values: Array) -> Array:
@@ -80,19 +82,20 @@ class Model(Protocol):
         """What does not."""
         ...
 
-    def missing(self, direction: Array) -> str:
-        """What would have to be driven, where this direction of the numbers is not told."""
+    def missing(self, at: int) -> str:
+        """What would have to be driven to tell the number at this place."""
         ...
 
 
 RADIUS, OFFSET, TRACK, RATIO, ZERO = range(5)
 _KEYS: Final = ("wheel_radius", "axle_offset", "track")
+_REPEAT: Final = "repeat the courses, or drive longer ones"
 _SHOWN_BY: Final = {
     "wheel_radius": "a straight line of some metres shows it",
     "axle_offset": "only courses that end with the chassis turned another way than at their start show it (one line "
     "sideways)",
     "track": "only courses that turn the chassis show it (squares both ways)",
-    "wheel_ratio": "straight lines whose end is measured in y and turn show it",
+    "wheel_ratio": "squares both ways, or straight lines whose turn is measured, show it",
     "joint_zero": "straight lines whose end is measured in y show it",
 }
 
@@ -106,13 +109,11 @@ class OffsetDifferential:
     optional: bool = True
     start: Array = field(init=False)
     scales: Array = field(init=False)
-    widest: Array = field(init=False)
 
     def __post_init__(self) -> None:
         lengths = [self.robot.wheel_radius, self.robot.axle_offset, self.robot.track]
         self.start = np.array([*lengths, 1.0, 0.0])
         self.scales = np.array([*lengths, 1.0, 1.0])
-        self.widest = np.array([*(WIDEST * one for one in lengths), WIDEST_RATIO, WIDEST])
 
     def way(self, driven: Driven, values: Array) -> Array:
         """By the robot's own kinematics, of wheels made alike."""
@@ -134,7 +135,8 @@ class OffsetDifferential:
                 float(values[at]),
                 float(halves[at]),
                 "m",
-                float(self.widest[at]),
+                WIDEST * float(self.start[at]),
+                _SHOWN_BY[key],
             )
             for at, key in enumerate(_KEYS)
             if halves[at] > 0.0
@@ -150,9 +152,9 @@ class OffsetDifferential:
             if halves[at] > 0.0
         ]
 
-    def missing(self, direction: Array) -> str:
-        """Of the number that has most to do with it."""
-        return _SHOWN_BY[self.names[int(np.argmax(np.abs(direction)))]]
+    def missing(self, at: int) -> str:
+        """As the head of this file has it."""
+        return _SHOWN_BY[self.names[at]]
 
 
 class _WheelNumbers(NamedTuple):
@@ -203,10 +205,7 @@ class Wheels:
         self.names = tuple(f"{axis} of way {way}" for axis in ("x", "y", "turn") for way in range(3))
         self.start = by.ravel()
         lever = float(np.max(np.abs(self._rows[:, 2] * radii)))
-        size = float(np.mean(radii)) * np.ones(3)
-        self.scales = np.concatenate((size, size, size / lever))
-        self.widest = np.full(9, np.inf)
-        self._by = by
+        self.scales = np.repeat([1.0, 1.0, 1.0 / lever], 3)  # of the body, by a metre of rims
 
     def way(self, driven: Driven, values: Array) -> Array:
         """By nine numbers."""
@@ -230,11 +229,20 @@ class Wheels:
             kept = tuple(((*key, axis), at + by) for axis, at, by in moved if abs(by) > UNMOVED * half[2])
             names = [f"{wheel.motor}.{name}" for name in ("radius", self._kind.angle, "lever")]
             found += [
-                Number(
-                    names[0], (((*key, "radius"), radius),), wheel.radius, radius, half[0], "m", WIDEST * wheel.radius
-                ),
-                Number(names[1], (((*key, self._kind.angle), angle),), old_angle, angle, half[1], "rad", WIDEST),
-                Number(names[2], kept, old.lever, lever, half[2], "m", WIDEST * self._reach()),
+                Number(*numbered, _REPEAT)
+                for numbered in (
+                    (
+                        names[0],
+                        (((*key, "radius"), radius),),
+                        wheel.radius,
+                        radius,
+                        half[0],
+                        "m",
+                        WIDEST * wheel.radius,
+                    ),
+                    (names[1], (((*key, self._kind.angle), angle),), old_angle, angle, half[1], "rad", WIDEST),
+                    (names[2], kept, old.lever, lever, half[2], "m", WIDEST * self._reach()),
+                )
             ]
         return found
 
@@ -242,11 +250,9 @@ class Wheels:
         """Nothing."""
         return []
 
-    def missing(self, direction: Array) -> str:
-        """The axis of the body that was driven least."""
-        untold = np.linalg.norm(direction.reshape(3, 3), axis=0)  # of the three ways
-        axis = np.abs(self._by @ untold) / np.linalg.norm(self._by, axis=1)
-        return f"too little was driven to tell every wheel's numbers; drive also: {_AXES[int(np.argmax(axis))]}"
+    def missing(self, at: int) -> str:
+        """Every way to move was driven, so more of the same."""
+        return "measure x, y and turn of every course, and turns that are no whole number of turns"
 
     def _reach(self) -> float:
         return max(hypot(wheel.x, wheel.y) for wheel in self._wheels)

@@ -32,6 +32,7 @@ EARLIEST_SPEED = 0.005  # s, by which a speed may be told before the position
 LEAST_EXPLAINED = 0.9  # of the variance of the speed
 WIDEST_INERTIA = 0.15  # half the interval, of the inertia
 WIDEST_DELAY = 0.003  # half the interval, s
+LATE = 4.0  # usual cycles, from which one is told to have been late
 SINGULAR = 1e4  # condition of what the parameters do, each in its own measure, from which they are not told apart
 _HARDER = "raise speed_loop.kp of the robot file, and try again; or does something rub, slip, or turn it?"
 _HARDLY = 1e-6  # in all by a parameter of its own size; a share
@@ -91,7 +92,10 @@ def identify(times: ArrayLike, positions: ArrayLike, speeds: ArrayLike, torques:
     response = motion._replace(delay=motion.delay + float(late.values[0]))
     halves = Response(*map(float, moved.halves[:4]))
     halves = halves._replace(delay=halves.delay + float(late.halves[0]))
-    _judge(response, halves, explained, singular=moved.singular or late.singular)
+    try:
+        _judge(response, halves, explained, singular=moved.singular or late.singular)
+    except ResponseError as error:
+        raise ResponseError(f"{error}{_busy(t)}") from None
     return Answer(response, halves, explained, modelled)
 
 
@@ -184,6 +188,17 @@ def _halves(jacobian: Array, rest: Array, t: Array) -> Array:
     freedom = len(sums) - jacobian.shape[1]
     spread = np.sqrt(np.diag(len(sums) / freedom * bread @ (sums.T @ sums) @ bread))
     return np.asarray(student.ppf((1.0 + CONFIDENCE) / 2.0, freedom) * spread)
+
+
+def _busy(t: Array) -> str:
+    """Where some cycle took much longer than most, that it did."""
+    cycles = np.diff(t)
+    longest = float(np.max(cycles))
+    return (
+        f"; or was this computer busy? One cycle took {1e3 * longest:.0f} ms"
+        if longest > LATE * np.median(cycles)
+        else ""
+    )
 
 
 def _judge(response: Response, halves: Response, explained: float, *, singular: bool) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+from gateway.config import SpeedLoop
 from replay.identify.gains import Gains, Margins, gains, margins
 from replay.identify.response import Answer, Response, ResponseError, identify
 
@@ -18,15 +19,6 @@ class Cycle(Protocol):
     def speed(self) -> float | None: ...
     @property
     def torque(self) -> float: ...
-
-
-class Loop(Protocol):
-    """The loop of the robot file."""
-
-    @property
-    def kp(self) -> float: ...
-    @property
-    def ki(self) -> float: ...
 
 
 class Tuned(NamedTuple):
@@ -55,7 +47,7 @@ class Tuned(NamedTuple):
         return self.answer.response._replace(inertia=self.heavy)
 
 
-def tune(told: Sequence[Cycle], *, before: Loop, carried: float, damping: float, period: float) -> Tuned:
+def tune(told: Sequence[Cycle], *, before: SpeedLoop, carried: float, damping: float, period: float) -> Tuned:
     """`carried`: kg m^2 of the robot's share at the output. Raises ResponseError.
 
     `damping`: N m per rad/s that the windings take and the host makes up for: no friction that the loop has.

@@ -596,3 +596,16 @@ def test_motors_are_judged_anew_after_a_pause_of_the_loop() -> None:
     world.loop.pause(world.now_ns + 500_000_000)
     world.cycle()
     assert world.engine._health._detectors is not before
+
+
+def test_the_odometry_is_as_sure_of_itself_as_the_robot_file_says() -> None:
+    """Hundred times the variance per metre: that of the position across a straight line, its start taken off."""
+    told = []
+    for edit in (str, lambda text: f"{text}\n[odometry]\nvariance_per_metre = 0.04\n"):
+        world = World("omni4", edit=edit)
+        world.start()
+        world.run(1.5, Twist(0.3, 0.0, 0.0))
+        (odometry,) = [outputs.odometry for _, outputs in world.records if outputs.odometry is not None][-1:]
+        assert odometry is not None
+        told.append(odometry.covariance[0] - 1e-6)
+    assert told[1] == pytest.approx(100.0 * told[0], rel=0.05)

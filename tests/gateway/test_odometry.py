@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gateway.chassis.contract import Sideways
 from gateway.chassis.omni import WheelPose, omni_kinematics
 from gateway.core.odometry import WheelOdometry, advance
-from gateway.types import Displacement, Pose, Twist
+from gateway.types import Displacement, Growth, Pose, Twist
 
 RADIUS = 0.05
 POSES = [WheelPose(0.3 * cos(a), 0.3 * sin(a), a, RADIUS) for a in (pi / 4, 3 * pi / 4, 5 * pi / 4, 7 * pi / 4)]
@@ -208,6 +208,19 @@ def test_a_gyro_that_agrees_changes_nothing() -> None:
     drive(plain, Twist(0.3, -0.2, 2.0), 250)
     drive_with_gyro(with_gyro, Twist(0.3, -0.2, 2.0), [2.0 * step * 0.004 for step in range(251)])
     assert with_gyro.pose == pytest.approx(plain.pose, abs=1e-9)
+
+
+def test_the_covariance_grows_as_the_robot_file_says() -> None:
+    """Each growth by itself: a metre forward, and a radian turned, in 250 cycles."""
+    growth = Growth(position=0.01, heading_turning=0.03, heading_driving=0.02)
+    told = []
+    for twist in (Twist(1.0, 0.0, 0.0), Twist(0.0, 0.0, 1.0)):
+        odometry = WheelOdometry(omni_kinematics(POSES), top_speeds=[200.0] * 4, growth=growth)
+        drive(odometry, twist, 250)
+        covariance = odometry.read(None, None).covariance
+        told.append([covariance[place] - 1e-6 for place in (0, 8)])
+    assert told[0] == pytest.approx([0.01, 0.02])
+    assert told[1] == pytest.approx([0.0, 0.03], abs=1e-9)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])

@@ -216,6 +216,21 @@ def test_nothing_is_outside_the_paper(name: str) -> None:
     assert_within(from_above(ROBOTS[name]))
 
 
+@pytest.mark.parametrize(("reach", "radius", "count"), [(10.0, 0.001, 16), (0.01, 0.3, 3), (0.2, 0.05, 16)])
+def test_any_size_has_its_place(reach: float, radius: float, count: int) -> None:
+    """Arrows keep their length, and the legend has a line for every motor."""
+    wheels = [
+        {"motor": f"m{at}", "x": reach * cos(angle), "y": reach * sin(angle), "axis_angle": angle, "radius": radius}
+        for at, angle in ((at, 2.0 * pi * at / count - pi) for at in range(count))
+    ]
+    given = {"kind": "omni", "name": "any", "body": {"mass": 20.0, "inertia": 1.0}, "wheel": wheels}
+    sheet = from_above(OmniRobot.model_validate(given))
+    assert_within(sheet)
+    arrows = [mark.points for mark in sheet.marks if mark.style == "rolls" and mark.of]
+    assert len(arrows) == count
+    assert all(hypot(b[0] - a[0], b[1] - a[1]) > 20.0 for a, b in arrows)
+
+
 def assert_within(sheet: Sheet) -> None:
     for mark in sheet.marks:
         assert all(0.0 <= x <= sheet.width and 0.0 <= y <= sheet.height for x, y in mark.points), mark.style

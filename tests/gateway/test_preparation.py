@@ -120,19 +120,25 @@ def test_answers_of_others_and_damaged_ones_are_none() -> None:
 
 
 def test_a_restart_is_one_that_was_seen_to_be_away() -> None:
-    heartbeat = CanFrame("", NODE << 5 | 1, bytes(8))
+    def heartbeat(ms: int) -> None:
+        restart.take(CanFrame("", NODE << 5 | 1, bytes(8), received_ns=ms * MS))
+
     restart = Restart(NODE)
-    assert [frame.data for frame in restart.questions(0.0)] == [b"\1"]
-    for tenth in range(1, 20):
-        assert restart.questions(tenth / 10) == []
-        restart.take(heartbeat)
-    assert not restart.finished  # it went on as if nothing were
-    restart.questions(2.6)
-    restart.take(heartbeat)
+    assert restart.questions(0.0) == []  # its absence counts from a heartbeat
+    heartbeat(1000)
+    assert [(frame.id & 0x1F, frame.data) for frame in restart.questions(0.01)] == [(0x16, b"\1")]
+    for ms in range(1100, 3000, 100):
+        assert restart.questions(60.0) == []
+        heartbeat(ms)
+    assert not restart.finished  # it went on as if nothing were, however late we looked
+    heartbeat(3600)
     assert not restart.finished
-    restart.questions(3.0)
-    restart.take(heartbeat)
+    heartbeat(3950)
     assert restart.finished
+
+
+def test_one_of_which_no_heartbeat_comes_is_told_all_the_same() -> None:
+    assert Restart(NODE).questions(1.0) != []
 
 
 # -- the vendor's file ------------------------------------------------------------------------------------------------

@@ -172,6 +172,19 @@ def test_ctrl_c_ends_it(stand: Callable[..., Stand]) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_id(stand: Callable[..., Stand]) -> None:
+    one = stand("kiwi")
+    arguments = ["id", one.channel, "odrive-0.6", "--interface", "virtual", "--json"]
+    ids = document(called(*arguments))["ids"]
+    assert isinstance(ids, dict)
+    assert sorted(ids.values()) == [2, 5, 9]
+    serial = next(serial for serial, at in ids.items() if at == 9)
+    result = called(*arguments, "--to", 7, "--serial", serial, "--yes")
+    assert result.exit_code == 0, result.output
+    assert document(result) == {"ok": True, "serial": serial, "from": 9, "to": 7}
+    assert not one.moved
+
+
 SWAPPED = {"left": 3, "right": 1}
 WRONG_IDS = {"front_left": 2, "front_right": 1, "rear_right": 5}  # really 7, as which a GM6020 of id 3 would speak too
 

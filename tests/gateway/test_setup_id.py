@@ -46,12 +46,13 @@ def called(
     typed: tuple[str, ...] = (),
     terminal: bool = False,
     disturb: Callable[[Bench], None] = lambda _: None,
+    channel: str = "can0",
 ) -> tuple[int, dict[str, object]]:
     out, code = StringIO(), 0
     stdin = patch.object(sys, "stdin", Terminal(typed, terminal=terminal))
     with simulated(bench, Told(), disturb), stdin, redirect_stdout(out), suppress(typer.Exit):
         code = 1
-        code = build("setup")(["setup", "id", "can0", *arguments, "--json"], standalone_mode=False) or 0
+        code = build("setup")(["setup", "id", channel, *arguments, "--json"], standalone_mode=False) or 0
     return code, json.loads(out.getvalue().splitlines()[-1])
 
 
@@ -85,6 +86,16 @@ def test_an_id_that_another_has_is_not_taken_from_it() -> None:
     found = called(bench, "odrive-0.6", "--to", "2", "--serial", f"{SERIAL:X}", "--yes")[1]
     assert "id 2 is that of serial" in str(found["reason"])
     assert (one.node, other.node) == (0, 0)
+
+
+def test_nor_from_one_that_tells_no_serial() -> None:
+    """As firmware 0.5: it would be started anew in the other's place."""
+    bench, one, _ = fresh()
+    silent = cast("SimulatedODrive", bench.bus.robot.devices["rear_left"])
+    silent._reports.pop(6)
+    found = called(bench, "odrive-0.6", "--to", str(silent.node), "--serial", f"{one.serial:X}", "--yes")[1]
+    assert "which tells no serial" in str(found["reason"])
+    assert one.node == 0
 
 
 def test_one_that_drives_is_not_started_anew() -> None:
@@ -132,9 +143,9 @@ def test_without_a_yes_no_id_changes_and_nothing_moves(
 
 def test_a_gateway_on_the_bus_is_left_alone() -> None:
     bench, _, _ = fresh()
-    claims = Claims("socketcan", "can0", [0x7FF])
+    claims = Claims("socketcan", "held_id", [0x7FF])
     with pytest.raises(InUseError):
-        called(bench, "odrive-0.6")
+        called(bench, "odrive-0.6", channel="held_id")
     claims.release()
     assert bench.sent == []
 

@@ -180,8 +180,8 @@ def test_without_a_yes_the_file_stays(tmp_path: Path, typed: list[str], terminal
 
 
 def test_a_gateway_on_the_bus_is_left_alone(tmp_path: Path) -> None:
-    person = Person(tmp_path, moby(0.7, -1), moby(0.0, 1))
-    claims = Claims("socketcan", "can0", [0x7FF])
+    person = Person(tmp_path, moby(0.7, -1), moby(0.0, 1).replace('channel = "can0"', 'channel = "held_ref"'))
+    claims = Claims("socketcan", "held_ref", [0x7FF])
     with pytest.raises(InUseError):
         person.calls("--yes")
     claims.release()

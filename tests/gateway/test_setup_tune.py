@@ -30,13 +30,13 @@ from tests.world import robot_text
 
 
 class Stand:
-    """A robot on a stand, and its file."""
+    """A robot on a stand, and its file; `true`: how it really is."""
 
-    def __init__(self, directory: Path, text: str) -> None:
+    def __init__(self, directory: Path, text: str, true: str | None = None) -> None:
         self.text = text
         self.file = directory / "robot.toml"
         self.file.write_text(text)
-        self.bench = Bench(parse(text, "robot"))
+        self.bench = Bench(parse(true or text, "robot"))
         self.motor = self.bench.config.motor[0].name
         self.told = Told()
         self.said = ""
@@ -101,6 +101,23 @@ def test_gains_that_check_refuses_are_tuned_one_by_one(tmp_path: Path) -> None:
     for name in names:
         assert stand.tunes("--yes", motor=name)[0] == 0
     examine_text(stand.file.read_text(), "robot")
+
+
+def test_gains_that_check_would_refuse_are_not_written(tmp_path: Path) -> None:
+    """The body of the file is so light that its wheels would swing with them."""
+    true = robot_text("omni4")
+    light = {
+        "mass = 25.0": "mass = 1.0",
+        "inertia = 0.9": "inertia = 0.01",
+        "joint_inertia = 0.004": "joint_inertia = 0.001",
+    }
+    text = true.replace("kp = 3.5", "kp = 0.3")
+    for old, new in light.items():
+        text = text.replace(f"\n{old}", f"\n{new}")
+    stand = Stand(tmp_path, text, true)
+    code, found = stand.tunes("--yes")
+    assert (code, "of a speed error in one cycle" in str(found["reason"])) == (1, True), found
+    assert stand.untouched
 
 
 @pytest.mark.parametrize(
@@ -190,8 +207,8 @@ def test_a_yes_to_turn_it_is_none_to_write(tmp_path: Path) -> None:
 
 
 def test_a_gateway_on_the_bus_is_left_alone(tmp_path: Path) -> None:
-    stand = Stand(tmp_path, robot_text("omni4"))
-    claims = Claims("socketcan", "can0", [0x7FF])
+    stand = Stand(tmp_path, robot_text("omni4").replace('channel = "can0"', 'channel = "held_tune"'))
+    claims = Claims("socketcan", "held_tune", [0x7FF])
     with pytest.raises(InUseError):
         stand.tunes("--yes")
     claims.release()

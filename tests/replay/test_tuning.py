@@ -306,7 +306,11 @@ def test_a_torque_that_changes_slowly_tells_too_little() -> None:
 def test_a_motion_that_the_torque_does_not_explain_is_no_answer() -> None:
     torque = steps(0.1)
     speed = solve(TRUTH, TIMES, torque)[0] + 2.0 * np.sin(9.0 * TIMES)
-    assert "does something rub, slip, or turn it?" in refusal(speed, torque)
+    assert "explain" in refusal(speed, torque)
+    assert "busy" not in refusal(speed, torque)
+    late = TIMES + np.where(TIMES > 1.0, 0.05, 0.0)
+    with pytest.raises(ResponseError, match=r"busy\? One cycle took 54 ms"):
+        identify(late, np.cumsum(speed) * PERIOD, speed, torque)
 
 
 def test_too_short_a_motion_is_no_answer() -> None:
