@@ -118,7 +118,8 @@ def _asked(found: Directions, trial: Trial, ways: dict[str, str]) -> None:
     guess = trial.motor if trial.motor in found.missing else ""
     meant = f"f: {guess}, and {ways[guess]}; b: {guess}, the other way round; " if guess else ""
     others = ", ".join(name for name in found.missing if name != guess)
-    question = f"What turned? {meant}a wheel ({others}) and f or b; n: nothing"
+    another = f"a wheel ({others}) and f or b; " if others else ""
+    question = f"What turned? {meant}{another}n: nothing"
     for name in found.missing:
         errors.print(f"  {name} f: {ways[name]}", highlight=False, markup=False)
     while True:

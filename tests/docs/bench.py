@@ -8,6 +8,7 @@ virtual time and with its wheels in the air, for `run` by the clock and on its w
 would see, how far each motor has turned, is in the file EYES, a double for each, in the order of the chassis.
 """
 
+import logging
 import struct
 import sys
 from collections.abc import Iterator, Sequence
@@ -36,6 +37,9 @@ TICK_NS: Final = 2 * STEP_NS
 @contextmanager
 def heard(config: RobotConfig) -> Iterator[None]:
     """The robot talks on its bus."""
+    logging.getLogger(
+        SimulationServer.__module__
+    ).disabled = True  # a robot does not tell that it is simulated too slowly
     ended = Event()
     bus = can.Bus(interface="virtual", channel=config.bus[0].channel)
     server = SimulationServer(config, {config.bus[0].name: bus}, tick_ns=TICK_NS, plant=LiftedPlant(config))

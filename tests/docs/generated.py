@@ -48,11 +48,12 @@ def robot_file() -> str:
     same = Counter(rule._replace(chassis=None) for rule in every if rule.chassis)
     sections: dict[str, list[Rule]] = {}
     for rule in every:
-        kind = "" if rule.chassis is None or same[rule._replace(chassis=None)] == len(CHASSIS) else rule.chassis
-        of = sections.setdefault(f"{rule.key.split('.')[0]}{f', of {kind}' if kind else ''}", [])
-        of += (
-            [] if kind == "" and rule._replace(chassis=None) in of else [rule if kind else rule._replace(chassis=None)]
-        )
+        plain = rule._replace(chassis=None)
+        kind = rule.chassis if rule.chassis and same[plain] < len(CHASSIS) else None
+        section = rule.key.split(".")[0]
+        of = sections.setdefault(f"{section}, of {kind}" if kind else section, [])
+        if kind or plain not in of:
+            of.append(plain)
     return "\n\n".join(f"### {title}\n\n{_keys(found)}" for title, found in sections.items())
 
 
@@ -283,7 +284,7 @@ def bundled_robots() -> str:
 def terminal(robot: str) -> str:
     """A session of a person at a terminal, as it was kept."""
     kept = (TERMINAL / f"{robot}.txt").read_text(encoding="utf-8")
-    return f"```text\n{kept.rstrip()}\n```"
+    return f'<div class="terminal" markdown="1">\n\n```text\n{kept.rstrip()}\n```\n\n</div>'
 
 
 def source(file: str, *names: str) -> str:

@@ -53,7 +53,9 @@ def _part(kind: str, words: str) -> str:
 
 def _of_readme(title: str, first: str = "", end: str = "") -> str:
     """A section of the README, or of it the lines from the one that begins with `first` until before `end`."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8").replace("](deploy/images/", "](../images/")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = text.replace("](deploy/README.md", "](../begin/install.md").replace("](deploy/docs/", "](../")
+    text = text.replace("](deploy/images/", "](../images/")
     found = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
     lines = [] if found is None else found[0].splitlines()
     begin = next((at for at, line in enumerate(lines) if line.startswith(first)), None)

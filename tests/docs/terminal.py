@@ -23,15 +23,16 @@ class TerminalError(Exception):
 
 
 class Terminal:
-    """A shell on a terminal of its own, in this folder."""
+    """A shell on a terminal of its own, in this folder; `within`: a command that runs it."""
 
-    def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
+    def __init__(self, folder: Path, environment: Mapping[str, str], within: Sequence[str] = ()) -> None:
         self._kept = ""
         self._seen = 0  # of what was kept: everything before has been answered
         pid, self._terminal = pty.fork()
         if pid == 0:
             os.chdir(folder)
-            os.execve("/bin/sh", ["sh", "-i"], dict(environment))
+            command = [*within, "sh", "-i"]
+            os.execvpe(command[0], command, dict(environment))
         self._pid = pid
         fcntl.ioctl(self._terminal, termios.TIOCSWINSZ, struct.pack("HHHH", *SIZE, 0, 0))
         self.until(PROMPT)

@@ -41,6 +41,13 @@ def test_every_page_is_in_the_contents_once() -> None:
     assert sorted(listed) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
+def test_the_newest_entry_of_the_changelog_is_this_version() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    newest = re.search(r"^## ([\d.]+)", (DOCS / "changelog.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == version
+
+
 def test_what_is_made_from_the_code_is_all_of_it() -> None:
     said = generated.command_line()
     assert all(f"### drivegate {command}" in said for command in COMMANDS)

@@ -23,6 +23,7 @@ import tomlkit
 from gateway.config import RobotConfig, parse
 from tests.docs.generated import TERMINAL
 from tests.docs.pages import ROOT
+from tests.docs.running import alone
 from tests.docs.terminal import PROMPT, Terminal, TerminalError, environment
 from tests.setup_robots import wronged
 
@@ -36,7 +37,7 @@ YES: Final = r"Type yes [^\n]*: $"
 
 ODRIVE: Final = {
     "Which motor controllers?": "odrive 0.6",
-    "Do you have flat_endpoints.json": "yes",
+    "Do you know the endpoints": "yes",
     "Which version": "0.6.10",
     "Endpoint of enable_watchdog": "188",
     "Of watchdog_timeout": "189",
@@ -107,7 +108,7 @@ class Person:
         (tools / "drivegate").write_text(f'#!/bin/sh\nexec {shlex.join(bench)} "$@"\n')
         (tools / "drivegate").chmod(0o755)
         told = environment(tools) | {"HOME": str(folder), "PYTHONPATH": str(ROOT)}
-        self.terminal = Terminal(self._folder, told)
+        self.terminal = Terminal(self._folder, told, within=alone())
 
     def tell(self) -> str:
         """All of the story, as the terminal shows it. Raises TerminalError."""
@@ -227,7 +228,8 @@ def main() -> int:
         if wanted.check:
             lines = changed(name)
             differing += bool(lines)
-            sys.stdout.writelines(f"{line}\n" for line in lines)
+            hint = ["where that is as it should be: python -m tests.docs.three_robots"] if lines else []
+            sys.stdout.writelines(f"{line}\n" for line in (*lines, *hint))
         else:
             kept(name).write_text(told(name).rstrip() + "\n", encoding="utf-8")
     return 1 if differing else 0

@@ -19,7 +19,7 @@ OF_ITSELF: Final = ("--version", "--help")
 _BEFORE: Final = ("sudo", "&&", ";", "|", "!", "timeout")
 _BEHIND: Final = re.compile(r"[&|;>]|2>")
 _OF_A_ROBOT: Final = re.compile(
-    r"\b(sudo|apt-get|systemctl|udevadm|journalctl)\b|/etc/|deploy/\S+\.sh|^ *git ", re.MULTILINE
+    r"\b(sudo|apt-get|systemctl|udevadm|journalctl)\b|/etc/|deploy/\S+\.(?:sh|py)|^ *git ", re.MULTILINE
 )
 _LEFT_OUT: Final = re.compile(r"[A-Z]{2,}|…|\.\.\.|\[|\|")  # placeholders of a mention
 
