@@ -47,7 +47,10 @@ _T = TypeVar("_T")
 
 
 class Client:
-    """One commander or onlooker; each source is commanded from one thread. Raises LinkError for a wrong endpoint."""
+    """One commander or onlooker; each source is commanded from one thread.
+
+    Raises LinkError for a wrong endpoint, ConfigError for a wrong `config_file`.
+    """
 
     def __init__(
         self,

@@ -40,8 +40,8 @@ def _plain(value: object) -> object:
     raise ValueError(message)
 
 
-def _with_port(endpoint: str) -> str:
-    """An endpoint of Zenoh; only its form is looked at here."""
+def with_port(endpoint: str) -> str:
+    """An endpoint of Zenoh, of which only the form is looked at here. Raises ValueError."""
     protocol, _, address = endpoint.partition("/")
     port = re.split("[?#]", address)[0].rpartition(":")[2]
     numbered = port.isascii() and port.isdigit() and int(port) <= 65535
@@ -53,7 +53,7 @@ def _with_port(endpoint: str) -> str:
 
 _WITH_PORT = ("tcp", "udp", "tls", "quic", "ws")
 Endpoint = Annotated[
-    str, Field(max_length=128), AfterValidator(_with_port), Form("a Zenoh endpoint such as tcp/127.0.0.1:7447")
+    str, Field(max_length=128), AfterValidator(with_port), Form("a Zenoh endpoint such as tcp/127.0.0.1:7447")
 ]
 Option = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
@@ -534,7 +534,7 @@ def parse(text: str, origin: str) -> RobotConfig:
 
 def survey(text: str, origin: str) -> Survey:
     """Robot file from its text, with everything that is wrong with it. Raises ConfigError for what is no TOML."""
-    document = _document(text, origin)
+    document = document_of(text, origin)
     try:
         config = RobotConfig.model_validate(document)
     except ValidationError as error:
@@ -547,14 +547,15 @@ def survey(text: str, origin: str) -> Survey:
 
 def parse_as(model: type[_File], text: str, origin: str) -> _File:
     """What a person typed, as this model. Raises ConfigError."""
-    document = _document(text, origin)
+    document = document_of(text, origin)
     try:
         return model.model_validate(document)
     except ValidationError as error:
         raise ConfigError(origin, [file_keys.problem(item, document, model) for item in error.errors()]) from None
 
 
-def _document(text: str, origin: str) -> dict[str, Any]:
+def document_of(text: str, origin: str) -> dict[str, Any]:
+    """What a person typed, as it stands there. Raises ConfigError for what is no TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also a number of more than 4300 digits, and tables without end

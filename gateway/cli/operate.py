@@ -9,6 +9,7 @@ from rich.live import Live
 from rich.table import Table
 
 from gateway import robot_files
+from gateway.cli.endpoints import checked
 from gateway.cli.output import complain, console, note, print_json
 from gateway.client import DEFAULT_ENDPOINT, Client
 from gateway.commander import objection, rest, start, stream, unrested
@@ -18,17 +19,20 @@ from gateway.types import ZERO_TWIST, Level, Mode, Pose, SensorStatus, SourceSta
 
 EXIT_NO_ROBOT = 69
 EXIT_REFUSED = 1
+NOTICE_S = 0.5  # after which a command says for whom it waits
 ALIVE_TIMEOUT_S = 5.0
 STOP_TIMEOUT_S = 3.0
 STALE_S = 0.5  # a state that old says nothing of now
 _EVENTS_SHOWN = 8
 
 RobotName = Annotated[str, typer.Argument(help="Name of the robot, or its robot file.")]
-Connect = Annotated[str | None, typer.Option(help="Zenoh endpoint of the robot, e.g. tcp/127.0.0.1:7447.")]
+Connect = Annotated[
+    str | None, typer.Option(callback=checked, help="Zenoh endpoint of the robot, e.g. tcp/127.0.0.1:7447.")
+]
 
 
 def open_client(name_or_file: str, connect: str | None, *, zero_on_exit: bool = False) -> Client:
-    """A client that has found its robot; leaves the command with exit 69 when it does not answer.
+    """A client that has found its robot; says soon that it waits, and leaves the command with exit 69 when nobody came.
 
     A robot file, given, installed or bundled under that name, tells the endpoint; `connect` overrides it. Of a name it
     is said which file that was.
@@ -37,12 +41,17 @@ def open_client(name_or_file: str, connect: str | None, *, zero_on_exit: bool = 
     if target.told:
         note(f"{target.robot}: {target.source}")
     client = Client(target.robot, connect=[target.endpoint], zero_on_exit=zero_on_exit)
-    if not client.wait_alive(ALIVE_TIMEOUT_S):
-        others = client.others_alive()
-        client.close()
-        complain(unanswered(target, others))
-        raise typer.Exit(EXIT_NO_ROBOT)
-    return client
+    if client.wait_alive(NOTICE_S):
+        return client
+    others = client.others_alive()
+    there = f"; there answers {', '.join(others)}" if others else ""
+    note(f"nobody answers as {target.robot} on {target.endpoint} yet{there}: waiting up to {ALIVE_TIMEOUT_S:g} s")
+    if client.wait_alive(ALIVE_TIMEOUT_S):
+        return client
+    others = client.others_alive()
+    client.close()
+    complain(unanswered(target, others))
+    raise typer.Exit(EXIT_NO_ROBOT)
 
 
 class Target(NamedTuple):

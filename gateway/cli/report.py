@@ -29,7 +29,7 @@ from gateway.cli.report_parts import MissingError, Source
 from gateway.recording.failures import RecordingOffError, WriterDeadError
 from replay.sessions.reader import Session, SessionError, open_session
 from replay.sharing.incident import share, texts
-from replay.sharing.redaction import Redaction
+from replay.sharing.redaction import SOMEWHERE, Redaction
 
 NICE = 19
 FIRST_TO_GO = "1000"  # of oom_score_adj
@@ -81,8 +81,8 @@ def report(
     found = _source(robot)
     stamp = datetime.fromtimestamp(time.clock_gettime(time.CLOCK_REALTIME), UTC).strftime("%Y%m%dT%H%M%SZ")
     path = out or Path(f"drivegate-report-{found.robot}-{stamp}.zip")
-    archive = _Archive()
-    archive.collect(found)
+    archive = _Archive(found)
+    archive.collect()
     try:
         members = archive.write(path, stamp)
     except OSError as error:
@@ -117,21 +117,25 @@ def _source(robot: str | None) -> Source:
 
 
 class _Archive:
-    """Parts by their names in the archive, and why others are missing."""
+    """Parts by their names in the archive, and why others are missing. What is called as the robot keeps its name."""
 
-    def __init__(self) -> None:
+    def __init__(self, found: Source) -> None:
+        self._found = found
         self.missing: dict[str, str] = {}
         self._texts: dict[str, str] = {}
         self._incidents: dict[str, Session] = {}
         self._zenoh: object = None
-        self._redaction = Redaction(people=parts.people(), homes=parts.homes(), hosts=parts.hosts())
+        self._redaction = Redaction(
+            people=parts.people() - {found.robot}, homes=parts.homes(), hosts=parts.hosts() - {found.robot}
+        )
 
-    def collect(self, found: Source) -> None:
+    def collect(self) -> None:
         """Read everything."""
+        found = self._found
         self._redaction.text(found.text or "")
-        self._take("zenoh.json", self._zenoh_text, found)
+        self._take("zenoh.json", self._zenoh_text)
         for name, read in _TEXTS.items():
-            self._take(name, read, found)
+            self._take(name, read)
         state = None
         try:
             told = parts.running(found)
@@ -142,7 +146,7 @@ class _Archive:
             self._texts["state.json"] = _as_text(state)
             if told.robot_file is not None and told.robot_file != found.text:
                 self._texts["running-robot.toml"] = told.robot_file
-        self._choose_incidents(found, state)
+        self._choose_incidents(state)
 
     def write(self, path: Path, stamp: str) -> dict[str, int]:
         """The archive whole or not at all; names of its members with their lengths. Raises OSError."""
@@ -168,18 +172,18 @@ class _Archive:
             document = None
         return self._redaction.again(text) if document is None else _as_text(self._redaction.again_in(document))
 
-    def _take(self, name: str, read: Callable[[Source], str], found: Source) -> None:
+    def _take(self, name: str, read: Callable[[Source], str]) -> None:
         try:
-            self._texts[name] = read(found)
+            self._texts[name] = read(self._found)
         except MissingError as error:
             self.missing[name] = str(error)
 
     def _zenoh_text(self, found: Source) -> str:
         return _as_text(self._redaction.document(parts.zenoh_config(found)))
 
-    def _choose_incidents(self, found: Source, state: dict[str, object] | None) -> None:
+    def _choose_incidents(self, state: dict[str, object] | None) -> None:
         try:
-            newest = parts.newest_incidents(found, state)
+            newest = parts.newest_incidents(self._found, state)
         except MissingError as error:
             self.missing["incidents"] = str(error)
             return
@@ -192,6 +196,7 @@ class _Archive:
                     self.missing[name] = "too long: all incidents together may have 100 MB"
                     return
                 self._incidents[name] = open_session(path)
+                self._redaction.name({self._incidents[name].header.host} - {self._found.robot}, SOMEWHERE)
             except (SessionError, OSError) as error:
                 self.missing[name] = in_words(error)
 

@@ -164,9 +164,10 @@ def newest_incidents(found: Source, state: Mapping[str, object] | None) -> list[
 
 
 def people() -> set[str]:
-    """Names of those who may log in here, and of who calls."""
+    """Names of those who may log in here, also as they are in full, and of who calls."""
     names = {os.environ.get(name, "") for name in ("USER", "LOGNAME", "SUDO_USER")}
-    return names | {one.pw_name for one in pwd.getpwall() if _is_person(one)}
+    known = [one for one in pwd.getpwall() if _is_person(one)]
+    return names | {one.pw_name for one in known} | {one.pw_gecos.partition(",")[0].strip() for one in known}
 
 
 def homes() -> set[str]:

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from gateway import robot_files
+from gateway.cli.endpoints import checked
 from gateway.cli.parts import need
 from gateway.config import RobotConfig, read
 from gateway.core.examination import examine_text
@@ -65,7 +66,7 @@ def run(  # noqa: PLR0913  # a command line: each parameter is an option with a 
         Path | None,
         typer.Option(help="Directory that keeps a latched emergency stop; else $STATE_DIRECTORY, else that of --out."),
     ] = None,
-    endpoint: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on instead.")] = None,
+    endpoint: Annotated[str | None, typer.Option(callback=checked, help="Zenoh endpoint to listen on instead.")] = None,
     log_level: Annotated[
         LogLevel, typer.Option("--log-level", help="The least that is logged; `debug` tells of every library.")
     ] = LogLevel.INFO,

@@ -1,7 +1,6 @@
 """`drivegate setup new`: an interview that writes a robot file."""
 
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ import typer
 
 from gateway.cli.asking import NotAllowedError, ask
 from gateway.cli.output import EXIT_CONFIG, complain, console, errors, print_json
-from gateway.config import read
+from gateway.config import document_of, read
 from gateway.core.examination import examined
 from gateway.setup.fields import AnswerError, Value
 from gateway.setup.interview import Question, robot_file
@@ -110,10 +109,7 @@ def _given(answers: Path | None, options: Sequence[str]) -> dict[str, object]:
     """By key, tables joined by dots. Raises AnswerError, ConfigError."""
     found: dict[str, object] = {}
     if answers is not None:
-        try:
-            found = _flat(tomllib.loads(read(answers)))
-        except tomllib.TOMLDecodeError as error:
-            raise AnswerError(f"{answers}: not valid TOML: {error}") from None
+        found = _flat(document_of(read(answers), str(answers)))
     for option in options:
         key, equals, value = option.partition("=")
         if not equals:

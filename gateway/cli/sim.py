@@ -14,6 +14,7 @@ import typer
 import zenoh
 
 from gateway import robot_files
+from gateway.cli.endpoints import checked
 from gateway.client import MAX_MESSAGE_SIZE
 from gateway.config import ConfigError, RobotConfig, load
 from gateway.core.examination import examine
@@ -40,7 +41,10 @@ def sim(  # noqa: PLR0917  # a command line: each parameter is an option with a 
         Path | None, typer.Option(help="Write flat_endpoints.json of its ODrives here, for `drivegate setup prepare`.")
     ] = None,
     endpoint: Annotated[
-        str | None, typer.Option(help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`).")
+        str | None,
+        typer.Option(
+            callback=checked, help="Tell on this Zenoh endpoint where the robot really is (key `<robot>/truth`)."
+        ),
     ] = None,
 ) -> None:
     """Be the motors and the robot on a (virtual) CAN interface until SIGTERM or SIGINT. Never on a real robot's bus.

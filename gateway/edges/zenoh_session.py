@@ -18,6 +18,7 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import RingChannel
 
+from gateway.config import ConfigError
 from gateway.errors import UserError
 
 LEASE_MS = 2000  # a peer that freezes is dropped after this; Zenoh's default is 10 s
@@ -60,7 +61,7 @@ def open_zenoh(
 ) -> zenoh.Session:
     """A peer that talks only to the endpoints given, over whatever the file says else (TLS, access control).
 
-    Endpoints of `connect` are retried for ever. Raises LinkError.
+    Endpoints of `connect` are retried for ever. Raises LinkError, and ConfigError for a wrong `config_file`.
     """
     zenoh.init_log_from_env_or("error")
     try:
@@ -172,11 +173,11 @@ def _settings(listen: Sequence[str], connect: Sequence[str], size: int, scouting
 
 
 def _file(path: str) -> zenoh.Config:
-    """Zenoh's own settings. Raises LinkError, with the place in the file."""
+    """Zenoh's own settings. Raises ConfigError, with the place in the file: trying again does not mend it."""
     try:
         return zenoh.Config.from_file(path)
     except zenoh.ZError as error:
-        raise LinkError(f"zenoh.config_file = {path}: {_reason(error)}") from None
+        raise ConfigError(f"zenoh.config_file = {path}", [_reason(error)]) from None
 
 
 def _reason(error: zenoh.ZError) -> str:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from gateway.types import ZERO_TWIST, Twist
 
-SCALES = (0.1, 0.25, 0.5, 0.75, 1.0)  # shares of the top
+SCALES = (1.0, 0.75, 0.5, 0.25, 0.1)  # shares of the top
 LATE_S = 0.5  # from one look to the next: more, and this computer was asleep or held up
 
 
@@ -39,24 +39,22 @@ class Hand:
 
     top: Twist
     counts: bool = False  # what is held moves the robot
-    _level: int = len(SCALES) - 1
+    _slower: int = 0  # steps below the top
     _press: int | None = None  # the last that was seen
     _looked: float = -inf
 
     @property
     def scale(self) -> float:
         """Share of the top."""
-        return SCALES[self._level]
+        return SCALES[self._slower]
 
     def order(self, wish: Wish, now: float, *, ready: bool) -> Twist:
         """Of one look; `ready`: the robot drives what we send."""
-        self._level = min(max(self._level + wish.faster, 0), len(SCALES) - 1)
+        self._slower = min(max(self._slower - wish.faster, 0), len(SCALES) - 1)
         fresh = ready and not wish.stop and now - self._looked <= LATE_S
-        new = wish.press is not None and wish.press != self._press
+        new = wish.press != self._press
         self.counts = fresh and wish.press is not None and (self.counts or new)
-        self._looked = now
-        if wish.press is not None:
-            self._press = wish.press
+        self._looked, self._press = now, wish.press
         if not self.counts:
             return ZERO_TWIST
         return Twist(*(part * size * self.scale for part, size in zip(wish.direction, self.top, strict=True)))

@@ -4,8 +4,8 @@ How this works
 --------------
 Each rule of RULES takes out what looks like a secret by what stands around it, and leaves a word in its place that
 breaks neither a quoted string nor a name: a robot file stays one. What was taken out is remembered, and `again` takes
-it out wherever else it stands: the password of a configuration is also one in a log. Rather too much goes than too
-little.
+it out wherever else it stands: the password of a configuration is also one in a log, and whose home directory there is
+has a name. Rather too much goes than too little.
 """
 
 import re
@@ -67,7 +67,7 @@ RULES = (
         r"(?<![\w.+-])(?P<value>(?!drivegate|REDACTED)[\w.+-]+@[\w-]+(?:\.[\w-]+)*\.[a-z]{2,})"
     ),  # of mail; drivegate@moby.service is a unit
 )
-_HOMES = re.compile(r"(?:/var)?/(?:home|Users|export/home)/[^/\s\"'`:,;()\[\]<>]+|/root(?![\w-])")
+_HOMES = re.compile(r"(?:/var)?/(?:home|Users|export/home)/(?P<name>[^/\s\"'`:,;()\[\]<>]+)|/root(?![\w-])")
 # Of Zenoh's own configuration: what is under such a name goes, whatever it is.
 _STRUCTURED = re.compile(
     rf"{_SECRET}|user|cert|private|plugins?$|metadata|auth$|(?:^|_)key(?:$|_(?!exprs?))", re.IGNORECASE
@@ -83,17 +83,24 @@ class Redaction:
         self.times = 0
         self._found: set[str] = set()
         places = sorted({home.rstrip("/") for home in homes} - {"", "/"}, key=len, reverse=True)
-        self._names = [(re.compile(rf"{re.escape(place)}(?![\w-])"), HOME) for place in places]
-        self._names += [(_whole(name), SOMEBODY) for name in _telling(people)]
-        self._names += [(_whole(name), SOMEWHERE) for name in _telling(hosts)]
+        self._homes = [re.compile(rf"{re.escape(place)}(?![\w-])") for place in places]
+        self._names: dict[str, str] = {}
+        self.name(people, SOMEBODY)
+        self.name(hosts, SOMEWHERE)
+
+    def name(self, names: Iterable[str], instead: str) -> None:
+        """These too are names, of which from now on something else is said."""
+        self._names |= {name: instead for name in names if name and name.lower() not in ANYBODY | _PLAIN}
 
     def text(self, text: str) -> str:
         """The text without what any rule finds."""
         for rule in RULES:
             text = rule.pattern.sub(self._taken(sure=rule.sure), text)
-        text = _HOMES.sub(self._counted(HOME), text)
-        for pattern, instead in self._names:
-            text = pattern.sub(self._counted(instead), text)
+        self.name({match["name"] for match in _HOMES.finditer(text) if match["name"]}, SOMEBODY)
+        for pattern in (_HOMES, *self._homes):
+            text = pattern.sub(self._counted(HOME), text)
+        for name in sorted(self._names, key=len, reverse=True):
+            text = _whole(name).sub(self._counted(self._names[name]), text)
         return text
 
     def again(self, text: str) -> str:
@@ -165,10 +172,6 @@ class Redaction:
             case list():
                 for one in value:
                     self._remember(one)
-
-
-def _telling(names: Iterable[str]) -> list[str]:
-    return sorted({name for name in names if name and name.lower() not in ANYBODY}, key=len, reverse=True)
 
 
 def _whole(name: str) -> re.Pattern[str]:

@@ -54,6 +54,7 @@ def test_what_each_command_says(tmp_path: Path, free_port: int) -> None:
             f"mobi does not answer on {robot.endpoint} (as given by --connect); there answers moby: give that as NAME"
         )
         assert words in said.stderr
+        assert f"nobody answers as mobi on {robot.endpoint} yet; there answers moby: waiting" in said.stderr
 
         code = snippet().replace("tcp/127.0.0.1:7447", robot.endpoint)
         said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=False)

@@ -121,23 +121,39 @@ def test_no_stop_is_weaker(  # noqa: PLR0917  # hypothesis gives them by place
 
 
 @settings(max_examples=50, deadline=None)
-@given(vectors, vectors, jerks, shares, st.lists(st.tuples(eases, st.integers(1, 60)), min_size=1, max_size=8))
+@given(vectors, vectors, jerks, shares, st.lists(st.tuples(st.floats(0.0, 1.0), eases), min_size=1, max_size=6))
 def test_from_rest_it_arrives_and_never_goes_beyond(
-    velocity: Rates, acceleration: Rates, jerk: Rates, share: tuple[float, ...], set_on_the_way: list[tuple[Ease, int]]
+    velocity: Rates,
+    acceleration: Rates,
+    jerk: Rates,
+    share: tuple[float, ...],
+    set_on_the_way: list[tuple[float, Ease]],
 ) -> None:
-    """Also where a jerk that was made smaller could not end in time what a larger one began."""
+    """Wherever on the way it is set: also where a smaller jerk could not end in time what a larger one began."""
     moving = limiter(Saturation.BOTH, velocity, acceleration, jerk)
-    target = tuple(max(-1.0, min(1.0, one)) * top for one, top in zip(share, velocity, strict=True))
-    target = (*target[:2], 0.0)
-    plan = [ease for ease, cycles in set_on_the_way for _ in range(cycles)]
-    for cycle in range(60_000):
-        after, active = moving.step(target, PERIOD, ease=plan[min(cycle, len(plan) - 1)])
+    target = (*[max(-1.0, min(1.0, one)) * top for one, top in zip(share[:2], velocity[:2], strict=True)], 0.0)
+    size, ease = excess(target, velocity), NO_EASE
+    plan = sorted(set_on_the_way)
+    for _ in range(60_000):
+        while plan and plan[0][0] * size <= excess(moving.rates, velocity):
+            ease = plan.pop(0)[1]
+        after, active = moving.step(target, PERIOD, ease=ease)
         for value, goal in zip(after, target, strict=True):
             assert abs(value) <= abs(goal) * SAME
             assert value * goal >= 0.0
         if after == target and "acceleration" not in active:
             return
     pytest.fail("never arrives")
+
+
+def test_a_step_of_arrival_is_as_soft_as_the_others() -> None:
+    """With a jerk by which all of it could be covered at once."""
+    moving = limiter(Saturation.BOTH, (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (50.0, 50.0, 50.0))
+    for _ in range(40):
+        before = moving.rates
+        after, _ = moving.step((0.0006, 0.0, 0.0), PERIOD, ease=Ease(0.05, 1.0))
+        assert between(before, after)[0] <= 0.05 * 0.5 * SAME
+    assert moving.rates == (0.0006, 0.0, 0.0)
 
 
 def test_half_of_acceleration_and_a_tenth_of_jerk_take_the_time_that_physics_needs() -> None:

@@ -14,7 +14,7 @@ import pytest
 from gateway import robot_files
 from gateway.cli import report_parts
 from gateway.cli.report import _Archive
-from gateway.cli.report_parts import MissingError, bounded, newest_incidents, source
+from gateway.cli.report_parts import MissingError, Source, bounded, newest_incidents, source
 from gateway.recording.bundle import kept
 from replay.compare.verify import verify
 from replay.sessions.reader import open_session
@@ -33,7 +33,8 @@ SECRETS = {
     "zenoh key": B64,
     "log": "hunter-in-log",
     "log url": "hunter-in-url",
-    "origin of an incident": "/home/carol",
+    "origin of an incident": "carol",
+    "host of an incident": "far-off-host",
     "user": "alice",
     "home": "/srv/people",
 }
@@ -45,7 +46,7 @@ ZENOH = """{
     link: { tls: { connect_private_key_base64: "KEY" } },
   },
 }""".replace("KEY", B64)
-LOG = """2026-09-21T14:13:20+00:00 drivegate: alice logged in with hunter-in-zenoh
+LOG = """2026-09-21T14:13:20+00:00 drivegate: alice logged in with hunter-in-zenoh, carol did not
 2026-09-21T14:13:21+00:00 drivegate: token=hunter-in-log tcp/x:hunter-in-url@10.0.0.1:7447 /home/carol/x
 """
 
@@ -66,7 +67,9 @@ def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "zenoh.json5").write_text(ZENOH, encoding="utf-8")
     (order,) = orders(world, config, with_snapshots(config, world.packets, (40, 120)))
     hello = order.hello._replace(config_text=text, config_origin="/home/carol/omni4.toml")
-    assert kept(msgspec.structs.replace(order, hello=hello)).file
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gateway.recording.header.socket.gethostname", lambda: "far-off-host")
+        assert kept(msgspec.structs.replace(order, hello=hello)).file
     programs = folder / "bin"
     programs.mkdir()
     (programs / "journalctl").write_text(f"#!/bin/sh\ncat <<'END'\n{LOG}END\n", encoding="utf-8")
@@ -125,7 +128,7 @@ def test_no_planted_secret_is_in_any_byte(planted: Path, tmp_path: Path) -> None
     assert len(incidents) == 1
     assert told["bytes"] == path.stat().st_size
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert b"somebody logged in with REDACTED" in there["service.log"]
+    assert b"somebody logged in with REDACTED, somebody did not" in there["service.log"]
     assert json.loads(there["zenoh.json"])["mode"] == "peer"
     assert json.loads(there["doctor.json"])["findings"]
     assert json.loads(there["software.json"])["packages"]["numpy"]
@@ -193,7 +196,7 @@ def test_of_a_running_robot(tmp_path: Path) -> None:
 def test_a_part_in_which_something_is_left_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the redaction overlooks that was found elsewhere."""
     monkeypatch.setattr(Redaction, "again", lambda _self, text: text)
-    archive = _Archive()
+    archive = _Archive(Source(None, None, None, ours=False))
     for name, text in (
         ("robot.toml", 'password = "hunter-in-file"'),
         ("service.log", "hunter-in-file"),
@@ -204,6 +207,12 @@ def test_a_part_in_which_something_is_left_is_left_out(tmp_path: Path, monkeypat
     assert set(archive.write(path, "now")) == {"doctor.json", "README.txt"}
     assert archive.missing["service.log"] == "something that was taken out of another part could not be taken out of it"
     assert places_of_secrets(path) == []
+
+
+def test_a_computer_called_as_its_robot_keeps_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_parts, "hosts", lambda: {"moby", "moby.lan"})
+    archive = _Archive(source(robot_files.find_bundled("moby"), ours=False))
+    assert archive._redaction.text('name = "moby" on moby.lan') == 'name = "moby" on somewhere'
 
 
 def test_of_a_long_part_the_end_is_taken() -> None:

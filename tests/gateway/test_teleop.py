@@ -78,7 +78,20 @@ def test_the_scale_goes_down_to_the_least_and_up_to_the_top() -> None:
     sizes = [hand.order(held(1)._replace(faster=-1), TICK_S * number, ready=True).vx for number in range(2, 8)]
     assert sizes == pytest.approx([0.3 * scale for scale in (0.75, 0.5, 0.25, 0.1, 0.1, 0.1)])
     assert hand.order(held(1)._replace(faster=9), TICK_S * 8, ready=True) == Twist(0.3, 0.0, 0.0)
-    assert hand.scale == SCALES[-1] == 1.0
+    assert hand.scale == 1.0
+
+
+def test_figures() -> None:
+    """What else somebody would have to notice: of them the tests below are told in units of themselves."""
+    assert SCALES == (1.0, 0.75, 0.5, 0.25, 0.1)
+    assert (LATE_S, RELEASE_S, SILENT_S) == (0.5, 0.6, 2.0)
+    assert not Hand(TOP).counts
+
+
+def test_a_look_at_the_last_moment_is_in_time() -> None:
+    hand = Hand(TOP)
+    hand.order(held(None), 0.0, ready=True)
+    assert hand.order(held(1), LATE_S, ready=True) == Twist(0.3, 0.0, 0.0)
 
 
 # keys

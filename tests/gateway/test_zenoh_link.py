@@ -22,7 +22,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from gateway.client import Client
-from gateway.config import RobotConfig, Sensor, parse
+from gateway.config import ConfigError, RobotConfig, Sensor, parse
 from gateway.edges.mailbox import MAX_QUESTIONS
 from gateway.edges.messages import (
     AbilityMessage,
@@ -762,7 +762,7 @@ def test_a_wrong_endpoint_is_named(wrong: str, why: str) -> None:
 
 
 def test_a_config_file_that_is_missing_is_named() -> None:
-    with pytest.raises(LinkError, match=r"config_file = /no/such\.json5"):
+    with pytest.raises(ConfigError, match=r"config_file = /no/such\.json5"):
         open_zenoh(listen=[], connect=[], max_message_size=1000, config_file="/no/such.json5")
 
 
@@ -778,7 +778,7 @@ def test_a_config_file_that_is_missing_is_named() -> None:
 def test_a_wrong_config_file_is_named_with_the_place(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "zenoh.json5"
     file.write_text(text)
-    with pytest.raises(LinkError) as caught:
+    with pytest.raises(ConfigError) as caught:
         open_zenoh(listen=[], connect=[], max_message_size=1000, config_file=str(file))
     message = str(caught.value)
     assert message.startswith(f"zenoh.config_file = {file}: {words}")
@@ -788,7 +788,7 @@ def test_a_wrong_config_file_is_named_with_the_place(tmp_path: Path, text: str, 
 def test_a_config_file_that_is_toml_is_not_printed_whole(tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text("[robot]\nsecret = 'whole'\n")
-    with pytest.raises(LinkError) as caught:
+    with pytest.raises(ConfigError) as caught:
         open_zenoh(listen=[], connect=[], max_message_size=1000, config_file=str(file))
     assert f"{file}: unknown field `robot`" in str(caught.value)
     assert "whole" not in str(caught.value)

@@ -38,6 +38,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "gateway/control/manoeuvre.py": (f"{_GATEWAY}manoeuvre.py", f"{_GATEWAY}region_policy.py"),
     "gateway/control/region_policy.py": (f"{_GATEWAY}region_policy.py", f"{_GATEWAY}region_drives.py"),
     "gateway/kinematics/reach.py": (f"{_GATEWAY}reach.py", f"{_GATEWAY}kinematics.py"),
+    "gateway/teleop/hand.py": (f"{_GATEWAY}teleop.py",),
+    "gateway/teleop/pad.py": (f"{_GATEWAY}teleop.py",),
     "drivers/dji.py": _DJI,
     "drivers/odrive/group.py": _ODRIVE,
     "drivers/odrive/axis.py": _ODRIVE,

@@ -3,7 +3,10 @@
 import re
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from gateway.cli.simulation import _take
 from gateway.config import ConfigError
 from gateway.types import Mode, Request, RequestKind, Twist
 from replay.drive.faults import RULES, FaultKind
@@ -70,6 +73,14 @@ def test_clear_mends_and_forgets_what_was_to_come() -> None:
     faults.give(script("clear", "power_off@0.2:front_left"))
     told = run(world, faults, 3.0)
     assert told == ["0.56 clear 0.55 s ago, power_off:front_left 0.35 s ago"]
+    assert not world.bus.robot.devices["front_left"].acknowledges
+
+
+def test_clear_forgets_ends_of_its_own_script_too() -> None:
+    world, faults = robot()
+    faults.give(script("power_off+1:front_left", "clear@0.5", "power_off@0.7:front_left"))
+    told = ", ".join(run(world, faults, 3.0))
+    assert "end of" not in told
     assert not world.bus.robot.devices["front_left"].acknowledges
 
 
@@ -154,3 +165,27 @@ def test_what_is_sent_is_what_was_said() -> None:
     entries = entries_of(["power_off@1+0.5:front_left", "frames_lost=0.3", "clear"])
     assert script_of(entries, 7) == script("power_off@1+0.5:front_left", "frames_lost=0.3", "clear", seed=7)
     assert text_of(entries, 7).startswith("seed = 7\n")
+
+
+WORLD = World("omni4")
+TEXTS = [
+    "at = [",
+    "]",
+    "{ t = 0, fault = { kind = ",
+    '"power_off"',
+    '"impact"',
+    "} }",
+    ", ",
+    "seed = 1\n",
+    "\0",
+    "[[at]]",
+    "\n",
+]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=80) | st.lists(st.sampled_from(TEXTS), max_size=8).map(lambda texts: "".join(texts).encode()))
+def test_no_payload_raises(payload: bytes) -> None:
+    """In the thread that receives it, whose end would be that of the robot."""
+    problem = _take(LiveFaults(WORLD.bus, WORLD.config, PlantName.SIMPLE), payload)
+    assert problem is None or problem

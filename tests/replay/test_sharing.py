@@ -92,6 +92,12 @@ def test_a_secret_of_one_text_is_one_in_another() -> None:
     assert not found.left_in(b"there is none")
 
 
+def test_whose_home_directory_there_is_has_a_name() -> None:
+    found = redaction()
+    found.text("in /home/carol/x and /var/home/Carla, /home/pi/y")
+    assert found.again("carol, carole, Carla, pi") == "somebody, carole, somebody, pi"
+
+
 @given(st.text("abc/:@=\"' \n#-.xyzAB09", max_size=200))
 def test_twice_is_as_good_as_once(text: str) -> None:
     once = redaction().text(text)
