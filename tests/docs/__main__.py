@@ -60,7 +60,7 @@ def _checks(parts: Sequence[str], folder: Path, keep: Path | None) -> Iterator[t
 def _in_sources() -> Iterator[str]:
     for page in sources():
         yield from (f"{name(page)}: {fault}" for fault in words.faults(page.read_text(encoding="utf-8")))
-    yield from site.broken_in_repository(ROOT / "README.md")
+        yield from site.broken_in_repository(page)
 
 
 def _looked(built: Path, keep: Path | None) -> list[str]:

@@ -76,12 +76,13 @@ def _looks(page: Page) -> Iterator[str]:
 def _searched(at: Browser, site: Path) -> Iterator[str]:
     """A word that is on a page is found."""
     page, said = _opened(at, site, "index.html", THEMES[0], SIZES[0])
-    page.keyboard.press("Control+k")
     field = page.locator("input:visible").first
-    for attempt in range(ATTEMPTS):  # what is typed before the index has been read is forgotten
-        field.fill("")
-        field.fill(SOUGHT)
+    for attempt in range(ATTEMPTS):  # what is typed before the page is ready is forgotten
         try:
+            if not field.is_visible():
+                page.keyboard.press("Control+k")
+            field.fill("", timeout=WAIT_MS)
+            field.fill(SOUGHT, timeout=WAIT_MS)
             page.get_by_text(FOUND).wait_for(timeout=WAIT_MS)
             break
         except Error as error:

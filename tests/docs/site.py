@@ -24,7 +24,8 @@ from tests.docs.pages import DOCS, ROOT
 
 SETTINGS: Final = DOCS.parent / "mkdocs.yml"
 IMAGES: Final = DOCS.parent / "images"
-_PART: Final = re.compile(r"^<!-- (generated|included|readme): (.+?) -->$", re.MULTILINE)
+# A link in front of it is for who reads the page where it lies.
+_PART: Final = re.compile(r"^(?:\[.+?\]\(\S+\) )?<!-- (generated|included|readme): (.+?) -->$", re.MULTILINE)
 _FORMULA: Final = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _CODE: Final = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 _FUNCTION: Final = re.compile(r"(<mi>(?:sin|cos|tan|arcsin)</mi>)(?!<mo)")  # a space behind it, which is not made
@@ -55,7 +56,7 @@ def _of_readme(title: str, first: str = "", end: str = "") -> str:
     """A section of the README, or of it the lines from the one that begins with `first` until before `end`."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     text = text.replace("](deploy/README.md", "](../begin/install.md").replace("](deploy/docs/", "](../")
-    text = text.replace("](deploy/images/", "](../images/")
+    text = text.replace("](deploy/images/", "](../../images/")
     found = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
     lines = [] if found is None else found[0].splitlines()
     begin = next((at for at, line in enumerate(lines) if line.startswith(first)), None)
@@ -89,7 +90,8 @@ def build(folder: Path) -> Path:
     shutil.copy(SETTINGS, folder / "mkdocs.yml")
     for page in (folder / "docs").rglob("*.md"):
         try:
-            page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+            text = filled(page.read_text(encoding="utf-8")).replace("../images/", "images/")  # they lie beside the docs
+            page.write_text(text, encoding="utf-8")
         except SiteError as error:
             raise SiteError(f"{page.relative_to(folder)}: {error}") from None
     builder = Path(sysconfig.get_path("scripts")) / "zensical"
@@ -156,7 +158,7 @@ def broken(site: Path) -> Iterator[str]:
 
 
 def broken_in_repository(page: Path) -> Iterator[str]:
-    """Of a page that is read where it lies: links to files, and to headings, that are not there."""
+    """Of a page that is read where it lies: links to files that are not there, and to headings that nobody makes."""
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)\s]+)\)", _CODE.sub("", text)):
         parts = urlsplit(link)
@@ -165,7 +167,11 @@ def broken_in_repository(page: Path) -> Iterator[str]:
         target = page if not parts.path else page.parent / unquote(parts.path)
         if not target.exists():
             yield f"{page.relative_to(ROOT)}: nothing is at {link}"
-        elif parts.fragment and parts.fragment not in anchors(target.read_text(encoding="utf-8")):
+        elif (
+            parts.fragment
+            and not target.is_relative_to(DOCS)
+            and parts.fragment not in anchors(target.read_text(encoding="utf-8"))
+        ):
             yield f"{page.relative_to(ROOT)}: no such heading: {link}"
 
 

@@ -159,8 +159,12 @@ def test_links_that_lead_nowhere_and_pages_that_ask_elsewhere_are_seen(tmp_path:
     ]
 
 
-def test_links_in_the_repository() -> None:
-    assert list(site.broken_in_repository(ROOT / "README.md")) == []
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_in_the_repository(page: Path) -> None:
+    assert list(site.broken_in_repository(page)) == []
+
+
+def test_anchors_are_those_of_the_headings() -> None:
     assert site.anchors("# One thing: `x`\n```\n# not\n```\n## Two") == {"one-thing-x", "two"}
 
 
