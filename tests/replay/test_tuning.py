@@ -168,6 +168,7 @@ loads = st.floats(1e-3, 1.0)
 delays = st.floats(0.0, 0.02)
 
 
+@settings(deadline=None)
 @given(light=loads, ratio=st.floats(1.0, 50.0), between=st.floats(0.0, 1.0), delay=delays)
 def test_the_margins_of_the_rule_hold_for_every_load_between(
     light: float, ratio: float, between: float, delay: float
