@@ -9,7 +9,7 @@ from gateway.edges.messages import StateMessage
 from gateway.setup.courses import Leg
 from gateway.types import Mode
 
-STILL_CYCLES_S = 0.5  # that it stands before and after a course, so that the recording has it
+STILL_S = 0.5  # that it stands before and after a course, so that the recording has it
 STAND_TIMEOUT_S = 5.0
 
 
@@ -28,13 +28,13 @@ class Driven(NamedTuple):
 def drive_course(client: Client, source: str, legs: Sequence[Leg], *, rate: float) -> Driven:
     """From rest to rest. `rate`: cycles per second. Raises CourseDriveError."""
     before = _standing(client, 0)
+    session = session_of(before)
     _driven(client, source, legs)
     now = client.state()
     if now is None:
         raise CourseDriveError(unrested(client))
-    after = _standing(client, now.status.cycle + round(STILL_CYCLES_S * rate))
-    session = session_of(after)
-    if session != session_of(before):
+    after = _standing(client, now.status.cycle + round(STILL_S * rate))
+    if session_of(after) != session:
         raise CourseDriveError("the service was restarted meanwhile")
     return Driven(before.status.cycle, after.status.cycle, session)
 

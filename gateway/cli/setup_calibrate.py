@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from datetime import date
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
 from rich.markup import escape
@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gateway.cli.asking import NotAllowedError, Yes
 from gateway.cli.operate import Connect
-from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.cli.rewriting import RewriteError
 from gateway.cli.setup_courses import (
     EXIT_REFUSED,
@@ -88,9 +88,9 @@ def calibrate(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an
         raise typer.Exit(EXIT_REFUSED)
 
 
-def refuse(file: Path, error: BaseException, *, json: bool) -> None:
+def refuse(file: Path, error: BaseException, *, json: bool) -> NoReturn:
     """The end of a command that changed nothing."""
-    reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+    reason = in_words(error) if isinstance(error, Exception) else "interrupted"
     if json:
         print_json({"ok": False, "reason": reason})
     complain(f"{reason}; {file} is as it was")

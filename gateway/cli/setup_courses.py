@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from math import cos, isfinite, radians, sin
+from math import cos, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 EXIT_REFUSED = 1
 TOLD_TIMEOUT_S = 5.0
+FAR, TURNED = 100.0, 36_000.0  # m and degrees: more is mistyped
 RECORDED_S = 2.0  # after which the recorder has surely written a cycle
 
 RobotFile = Annotated[Path, typer.Argument(help="Robot file of the running robot; it is changed.")]
@@ -101,6 +102,7 @@ def gather(file: Path, config: RobotConfig, text: str, wanted: Wanted) -> Gather
         place = wanted.out or file.with_name(f"{file.stem}.courses.toml")
         with drafted(file, text):
             pass  # so that it is not driven for nothing
+        _check_writable(place)
         courses = _drive(file, config, wanted, place)
     missing = unmeasured(courses)
     if missing and wanted.measured is None:
@@ -151,7 +153,7 @@ def _recorded(courses: Courses, session: Path | None, config: RobotConfig) -> "l
 
 def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Courses:
     """Each course, kept in the file as soon as it was driven and measured."""
-    before = read_courses(read(place), str(place), config).course if place.exists() else []
+    before = read_courses(read(place), str(place), config) if place.exists() else None
     plan = list(wanted.courses) * wanted.repeat
     with open_client(str(file), wanted.connect, zero_on_exit=True) as client:
         if config_of(client) != config:
@@ -165,14 +167,31 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
             "to let it move",
             yes=wanted.yes,
         )
-        done = list(before)
+        done = [] if before is None else list(before.course)
         for number, name in enumerate(plan, 1):
             errors.print(f"{number} of {len(plan)}: {name.value}", highlight=False)
             done.append(_one(client, config, name, wanted))
-            _keep(place, Courses(robot=config.robot.name, course=done))
+            courses = _with(before, config, done)
+            _keep(place, courses)
         last = done[-1].end + round(RECORDED_S * config.loop.rate)
         client.wait_for_state(lambda state: state.status.cycle >= last, 2.0 * RECORDED_S)
-    return Courses(robot=config.robot.name, course=done)
+    return courses
+
+
+def _with(before: Courses | None, config: RobotConfig, courses: Sequence[Course]) -> Courses:
+    """Measured as well as those before, where there were some."""
+    if before is None:
+        return Courses(robot=config.robot.name, course=list(courses))
+    return before.model_copy(update={"course": list(courses)})
+
+
+def _check_writable(place: Path) -> None:
+    """Raises OSError."""
+    new = not place.exists()
+    with place.open("a", encoding="utf-8"):
+        pass
+    if new:
+        place.unlink()
 
 
 def _check_told(client: Client, *, truth: bool) -> None:
@@ -236,8 +255,9 @@ def _measured() -> tuple[float | None, ...]:
         except ValueError:
             complain(f"{answer!r}: must be three numbers, such as 1.987 -0.012 0.5, or - in place of one")
             continue
-        if all(one is None or isfinite(one) for one in (x, y, turn)):
+        if all(one is None or abs(one) <= most for one, most in ((x, FAR), (y, FAR), (turn, TURNED))):
             return x, y, None if turn is None else radians(turn)
+        complain(f"{answer!r}: must be lengths up to {FAR:g} m and a turn up to {TURNED:g} degrees, either way")
 
 
 def _keep(place: Path, courses: Courses) -> None:

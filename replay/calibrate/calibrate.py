@@ -1,6 +1,6 @@
 """From measured courses to the geometry of a robot file, each number with its interval, or to why not."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -61,7 +61,7 @@ def calibrated(config: RobotConfig, courses: Courses, driven: Sequence[Driven]) 
     covariance = np.zeros((len(model.start),) * 2)
     covariance[np.ix_(free, free)] = fit.covariance
     numbers = model.numbers(values, covariance, quantile(fit.spare))
-    refused |= {one.name: _wide(one) for one in numbers if one.half > one.widest}
+    refused |= _wide(numbers)
     return Calibrated(
         [one for one in numbers if one.name not in refused],
         model.told(values, covariance, quantile(fit.spare)),
@@ -81,7 +81,7 @@ def _best(
     """Places of the numbers that are told, reasons of those that are not, and all values. Raises CourseError."""
     free, refused = list(range(len(model.start))), dict[str, str]()
     while True:
-        found = _solved(config, courses, model, driven, free)
+        found = _Search(config, courses, model, free).solved(driven)
         if isinstance(found, Solved):
             return free, refused, found
         untold = _untold(model, free, found)
@@ -99,48 +99,42 @@ def _all(refused: Mapping[str, str]) -> str:
     return "; ".join(f"{', '.join(some)}: {reason}" for reason, some in names.items())
 
 
-def _solved(
-    config: RobotConfig, courses: Courses, model: Model, driven: Sequence[Driven], free: Sequence[int]
-) -> Solved | Untold:
-    """All values, those that are not free as the file has them. Raises CourseError."""
-    growth = np.array(config.odometry.growth())
+class _Search:
+    """For those numbers of a model that are free; the others are as the file has them."""
 
-    def whole(part: Array) -> Array:
-        found = model.start.copy()
-        found[list(free)] = part
+    def __init__(self, config: RobotConfig, courses: Courses, model: Model, free: Sequence[int]) -> None:
+        self._growth = np.array(config.odometry.growth())
+        self._sideways = config.robot.SIDEWAYS
+        self._courses = courses
+        self._model = model
+        self._free = list(free)
+
+    def solved(self, driven: Sequence[Driven]) -> Solved | Untold:
+        """All values. Raises CourseError."""
+        start, scales = self._model.start[self._free], self._model.scales[self._free]
+        try:
+            found = solved(lambda part: [self._end(one, part, scales) for one in driven], start, scales)
+        except (NoFitError, GeometryError) as error:
+            raise CourseError(str(error)) from None
+        return found if isinstance(found, Untold) else found._replace(values=self._whole(found.values))
+
+    def _whole(self, part: Array) -> Array:
+        found = self._model.start.copy()
+        found[self._free] = part
         return found
 
-    def ends_at(part: Array) -> list[End]:
-        return [_end(config, courses, model, one, growth, whole, part, model.scales[list(free)]) for one in driven]
-
-    try:
-        found = solved(ends_at, model.start[list(free)], model.scales[list(free)])
-    except (NoFitError, GeometryError) as error:
-        raise CourseError(str(error)) from None
-    return found if isinstance(found, Untold) else found._replace(values=whole(found.values))
-
-
-def _end(  # noqa: PLR0917  # all that an end hangs on
-    config: RobotConfig,
-    courses: Courses,
-    model: Model,
-    one: Driven,
-    growth: Array,
-    whole: Callable[[Array], Array],
-    part: Array,
-    scales: Array,
-) -> End:
-    """What of it was measured."""
-    trace = traced(model.way(one, whole(part)), config.robot.SIDEWAYS)
-    known = np.isfinite(one.end)
-    by = derivative(lambda at: end_of(model.way(one, whole(at))), part, scales)
-    square = np.ix_(known, known)
-    return End(
-        off(one.end, trace.end)[known],
-        by[known],
-        tape_noise(courses, trace.end)[square],
-        np.tensordot(growth, trace.grown, axes=1)[square],
-    )
+    def _end(self, one: Driven, part: Array, scales: Array) -> End:
+        """What of it was measured."""
+        trace = traced(self._model.way(one, self._whole(part)), self._sideways)
+        known = np.isfinite(one.end)
+        square = np.ix_(known, known)
+        by = derivative(lambda at: end_of(self._model.way(one, self._whole(at))), part, scales)
+        return End(
+            off(one.end, trace.end)[known],
+            by[known],
+            tape_noise(self._courses, trace.end)[square],
+            np.tensordot(self._growth, trace.grown, axes=1)[square],
+        )
 
 
 def _untold(model: Model, free: Sequence[int], found: Untold) -> dict[int, str]:
@@ -150,8 +144,13 @@ def _untold(model: Model, free: Sequence[int], found: Untold) -> dict[int, str]:
     return {at: f"these courses do not tell it{together}: {model.missing(at)}" for at in mixed}
 
 
-def _wide(one: Number) -> str:
-    return f"only to +-{one.half:.2g} {one.unit}, more than {one.widest:.2g}: {one.hint}"
+def _wide(numbers: Sequence[Number]) -> dict[str, str]:
+    """Those whose interval is too wide, and those that are written with them alone; and why."""
+    wide = [one for one in numbers if one.half > one.widest]
+    found = {one.name: f"goes with {wider.name}" for wider in wide for one in numbers if one.part == wider.part}
+    return found | {
+        one.name: f"only to +-{one.half:.2g} {one.unit}, more than {one.widest:.2g}: {one.hint}" for one in wide
+    }
 
 
 def _check_spare(driven: Sequence[Driven], sought: int) -> None:

@@ -15,9 +15,9 @@ and y are moved along that lever alone. Wheels that do not slip turn together in
 tell, linearly; the rows of all wheels follow from them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import atan, atan2, cos, hypot, remainder, sin, tan, tau
+from math import atan, atan2, cos, hypot, pi, remainder, sin, tan, tau
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -40,7 +40,8 @@ _AXES: Final = ("forward or back", "to the side", "a turn that is no whole numbe
 class Number(NamedTuple):
     """One number of a robot file that was found: its `keys` and what they become; `half`: of the interval.
 
-    `widest`: it is not written with a half of more than that; `hint`: what would make it narrower.
+    `widest`: it is not written with a half of more than that; `hint`: what would make it narrower. `part`: numbers of
+    one part are written together or not at all, as each is what it is beside the others.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Number(NamedTuple):
     unit: str
     widest: float
     hint: str
+    part: str
 
 
 class Told(NamedTuple):
@@ -137,6 +139,7 @@ class OffsetDifferential:
                 "m",
                 WIDEST * float(self.start[at]),
                 _SHOWN_BY[key],
+                key,
             )
             for at, key in enumerate(_KEYS)
             if halves[at] > 0.0
@@ -157,34 +160,23 @@ class OffsetDifferential:
         return _SHOWN_BY[self.names[at]]
 
 
-class _WheelNumbers(NamedTuple):
-    """What three numbers of a wheel's row are."""
+class _Kind(NamedTuple):
+    """How a kind of wheel is written: key of its angle, and by how much that may be off and be the same.
 
-    radius: float
-    angle: float
-    lever: float
-
-
-class _Places(NamedTuple):
-    """How a kind of wheel is written: key of its angle, its numbers from a row, and the direction of its lever."""
+    `numbers`: radius and angle, from rad of the wheel by a m forward and to the left; `lever`: m of it by a m of x and
+    of y.
+    """
 
     angle: str
+    period: float
+    numbers: Callable[[float, float], tuple[float, float]]
+    lever: Callable[[float], tuple[float, float]]
 
-    def numbers(self, row: Array, near: float) -> _WheelNumbers:
-        """`row`: rad per m, m and rad of the body; `near`: the angle that it should be near."""
-        x, y, turn = map(float, row)
-        if self.angle == "axis_angle":
-            radius = 1.0 / hypot(x, y)
-            angle = atan2(-x, y)
-        else:
-            radius = 1.0 / x
-            angle = atan(y / x)
-        half = tau / 2.0 if self.angle == "roller_angle" else tau  # an axis is the same the other way round
-        return _WheelNumbers(radius, near + remainder(angle - near, half), turn * radius)
 
-    def lever(self, angle: float) -> tuple[float, float]:
-        """M of lever by a m of x and of y."""
-        return (cos(angle), sin(angle)) if self.angle == "axis_angle" else (tan(angle), -1.0)
+_OMNI: Final = _Kind(
+    "axis_angle", tau, lambda x, y: (1.0 / hypot(x, y), atan2(-x, y)), lambda angle: (cos(angle), sin(angle))
+)
+_MECANUM: Final = _Kind("roller_angle", pi, lambda x, y: (1.0 / x, atan(y / x)), lambda angle: (tan(angle), -1.0))
 
 
 class Wheels:
@@ -194,17 +186,18 @@ class Wheels:
 
     def __init__(self, robot: OmniRobot | MecanumRobot, driven: Sequence[Driven]) -> None:
         self._wheels: list[OmniWheel | MecanumPose] = [*robot.wheel]
-        self._kind = _Places("axis_angle" if isinstance(robot, OmniRobot) else "roller_angle")
-        self._rows = np.array(robot.kinematics().matrix())
+        self._kind = _OMNI if isinstance(robot, OmniRobot) else _MECANUM
+        kinematics = robot.kinematics()
         radii = np.array([wheel.radius for wheel in robot.wheel])
+        self._rows = np.array(kinematics.matrix())  # of the file
+        lever = float(np.max(np.abs(self._rows[:, 2] * radii)))
         self._ways, sizes = _together(driven, radii)  # (wheels, 3): rad of each, in the three ways they go together
-        by = mapping(robot.kinematics()) @ self._ways
+        by = mapping(kinematics) @ self._ways
         if sizes[2] < UNDRIVEN * sizes[0]:
-            driven_by = np.linalg.norm(by * sizes, axis=1) * [1.0, 1.0, np.max(np.abs(self._rows[:, 2] * radii))]
-            raise CourseError(f"not every way to move was driven; drive also: {_AXES[int(np.argmin(driven_by))]}")
+            axis = int(np.argmin(np.linalg.norm(by * sizes, axis=1) * [1.0, 1.0, lever]))
+            raise CourseError(f"not every way to move was driven; drive also: {_AXES[axis]}")
         self.names = tuple(f"{axis} of way {way}" for axis in ("x", "y", "turn") for way in range(3))
         self.start = by.ravel()
-        lever = float(np.max(np.abs(self._rows[:, 2] * radii)))
         self.scales = np.repeat([1.0, 1.0, 1.0 / lever], 3)  # of the body, by a metre of rims
 
     def way(self, driven: Driven, values: Array) -> Array:
@@ -213,38 +206,42 @@ class Wheels:
 
     def numbers(self, values: Array, covariance: Array, quantile: float) -> list[Number]:
         """Three of each wheel; the place along its lever."""
-        flat = self._flat(values)
         change = derivative(self._flat, values, self.scales)
         halves = quantile * np.sqrt(np.maximum(0.0, np.diag(change @ covariance @ change.T)))
-        found = []
-        for place, wheel in enumerate(self._wheels):
-            radius, angle, lever = map(float, flat[3 * place : 3 * place + 3])
-            half = [float(one) for one in halves[3 * place : 3 * place + 3]]
-            key = ("robot", "wheel", place)
-            old_angle = float(getattr(wheel, self._kind.angle))
-            old = self._kind.numbers(self._rows[place], old_angle)
-            along, across = self._kind.lever(angle)
-            more = (lever - along * wheel.x - across * wheel.y) / (along * along + across * across)
-            moved = ("x", wheel.x, more * along), ("y", wheel.y, more * across)
-            kept = tuple(((*key, axis), at + by) for axis, at, by in moved if abs(by) > UNMOVED * half[2])
-            names = [f"{wheel.motor}.{name}" for name in ("radius", self._kind.angle, "lever")]
-            found += [
-                Number(*numbered, _REPEAT)
-                for numbered in (
-                    (
-                        names[0],
-                        (((*key, "radius"), radius),),
-                        wheel.radius,
-                        radius,
-                        half[0],
-                        "m",
-                        WIDEST * wheel.radius,
-                    ),
-                    (names[1], (((*key, self._kind.angle), angle),), old_angle, angle, half[1], "rad", WIDEST),
-                    (names[2], kept, old.lever, lever, half[2], "m", WIDEST * self._reach()),
-                )
-            ]
-        return found
+        now, old = self._flat(values), self._of_rows(self._rows)
+        every = zip(self._wheels, *[one.reshape(-1, 3) for one in (now, old, halves)], strict=True)
+        return [number for place, one in enumerate(every) for number in self._numbers(place, *one)]
+
+    def _numbers(self, place: int, wheel: OmniWheel | MecanumPose, now: Array, old: Array, half: Array) -> list[Number]:
+        """Of one wheel."""
+        key, (radius, angle, lever) = ("robot", "wheel", place), map(float, now)
+        x, y = self._kind.lever(angle)
+        more = (lever - x * wheel.x - y * wheel.y) / (x * x + y * y)
+        moved = ("x", wheel.x, more * x), ("y", wheel.y, more * y)
+        rows = (
+            ("radius", (((*key, "radius"), radius),), "m", WIDEST * wheel.radius),
+            (self._kind.angle, (((*key, self._kind.angle), angle),), "rad", WIDEST),
+            (
+                "lever",
+                tuple(((*key, axis), at + by) for axis, at, by in moved if abs(by) > UNMOVED * half[2]),
+                "m",
+                WIDEST * max(hypot(one.x, one.y) for one in self._wheels),
+            ),
+        )
+        return [
+            Number(
+                f"{wheel.motor}.{name}",
+                keys,
+                float(old[at]),
+                float(now[at]),
+                float(half[at]),
+                unit,
+                widest,
+                _REPEAT,
+                wheel.motor,
+            )
+            for at, (name, keys, unit, widest) in enumerate(rows)
+        ]
 
     def told(self, values: Array, covariance: Array, quantile: float) -> list[Told]:
         """Nothing."""
@@ -254,13 +251,17 @@ class Wheels:
         """Every way to move was driven, so more of the same."""
         return "measure x, y and turn of every course, and turns that are no whole number of turns"
 
-    def _reach(self) -> float:
-        return max(hypot(wheel.x, wheel.y) for wheel in self._wheels)
-
     def _flat(self, values: Array) -> Array:
-        rows = self._ways @ np.linalg.inv(values.reshape(3, 3))
-        angles = [float(getattr(wheel, self._kind.angle)) for wheel in self._wheels]
-        return np.array([one for row, near in zip(rows, angles, strict=True) for one in self._kind.numbers(row, near)])
+        return self._of_rows(self._ways @ np.linalg.inv(values.reshape(3, 3)))
+
+    def _of_rows(self, rows: Array) -> Array:
+        """Radius, angle and lever of each wheel, one behind the other; `rows`: rad per m, m and rad of the body."""
+        found = []
+        for wheel, (x, y, turn) in zip(self._wheels, rows.tolist(), strict=True):
+            radius, angle = self._kind.numbers(x, y)
+            near = float(getattr(wheel, self._kind.angle))
+            found += [radius, near + remainder(angle - near, self._kind.period), turn * radius]
+        return np.array(found)
 
 
 def _together(driven: Sequence[Driven], radii: Array) -> tuple[Array, Array]:

@@ -68,14 +68,17 @@ def test_courses(tmp_path: Path, free_port: int) -> None:
         assert "was started with another robot file" in str(told["reason"])
         assert here(robot) == (0.0, 0.0)
         # A person measures the first course: marks its start, and tells its end in a form that is no number at first.
-        code, told = answered(command(file, *drive, *some[:2]), "yes", "", "about half a metre", "0.401 - 0.5")
+        code, told = answered(
+            command(file, *drive, *some[:2]), "yes", "", "about half a metre", "401 0 0", "0.401 - 0.1"
+        )
         assert (code, told["ok"]) == (1, False)
         assert "2 numbers were measured" in str(told["reason"])
         (measured,) = tomllib.loads(courses.read_text())["course"]
         assert (measured["x"], measured.get("y")) == (0.401, None)
-        assert abs(measured["turn"] - 0.5 * 3.14159265 / 180.0) < 1e-6
+        assert abs(measured["turn"] - 0.1 * 3.14159265 / 180.0) < 1e-6
         assert 0.3 < here(robot)[0] < 0.5
-        courses.unlink()
+        with_tape = courses.read_text().replace("tape = 0.003", "tape = 0.002")
+        courses.write_text(with_tape)
         # What the simulated robot tells itself: it is as its file says.
         code, told = called(command(file, *drive, *some, "--yes", "--truth"))
         assert (code, told["ok"]) == (0, True), told
@@ -84,12 +87,13 @@ def test_courses(tmp_path: Path, free_port: int) -> None:
     numbers = told["numbers"]
     assert isinstance(numbers, list)
     assert all(abs(one["value"] - one["old"]) < 0.01 * one["old"] for one in numbers)
-    assert len(tomllib.loads(courses.read_text())["course"]) == 4
+    document = tomllib.loads(courses.read_text())
+    assert [len(document["course"]), document["tape"]] == [5, 0.002]  # added to what was there
     assert Path(str(told["kept"])).read_text() == before
     # The same drive, measured with a tape on which everything is larger: nothing moves, no robot is there any more.
     text = courses.read_text()
     for course in tomllib.loads(text)["course"]:
-        for key in ("x", "y"):
+        for key in course.keys() & {"x", "y"}:
             text = text.replace(f"{key} = {course[key]}\n", f"{key} = {SCALE * course[key]}\n")
     courses.write_text(text)
     file.write_text(before)

@@ -152,6 +152,13 @@ def test_a_session_without_what_was_measured(tmp_path: Path, driven: Courses) ->
     assert "--session needs --measured" in result.stderr
 
 
+def test_where_courses_cannot_be_kept_nothing_is_driven(bench: Bench) -> None:
+    nowhere = bench.file.parent / "nowhere" / "courses.toml"
+    result = CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), "--out", str(nowhere), "--yes"])
+    assert result.exit_code == 1
+    assert f"{nowhere}: No such file or directory" in result.stderr
+
+
 def test_metres_taken_for_centimetres(bench: Bench, driven: Courses) -> None:
     far = [one.model_copy(update={"x": 100.0 * (one.x or 0.0), "y": 100.0 * (one.y or 0.0)}) for one in driven.course]
     bench.courses.write_text(courses_text(driven.model_copy(update={"course": far})))
