@@ -227,6 +227,14 @@ def test_what_nobody_knows_is_a_warning_of_check() -> None:
     assert not any("relay in the supply" in words for words in examine(proven, "kiwi").warnings)
 
 
+def test_the_bundled_numbers_are_those_of_no_controller() -> None:
+    for name in robot_files.bundled():
+        config = bundled(name)
+        assert prepare_odrive.unproven(config) == []
+        proofs = [str(motor.options["endpoints_of"]) for motor in config.motor if motor.driver == "odrive"]
+        assert all(proof.endswith(" 0.0.0") for proof in proofs)
+
+
 def test_the_vendors_file_must_have_the_watchdog() -> None:
     with pytest.raises(ValueError, match=r"has no axis0.config.enable_watchdog, axis0.config.watchdog_timeout"):
         prepare_odrive.file_options(FlatEndpoints("0.6.8", "4.4.58", {}))

@@ -69,7 +69,7 @@ def test_every_controller_of_a_robot_is_found_and_no_other(name: str) -> None:
 def test_what_they_tell() -> None:
     (left, *_) = heard("moby", ask=True).found
     assert (left.driver, left.variants, left.id) == ("odrive", ("0.6",), 1)
-    assert dict(left.told) == {"state": "IDLE", "firmware": "0.6.10", "hardware": "5.2.0"}
+    assert dict(left.told) == {"state": "IDLE", "firmware": "0.6.10", "hardware": "0.0.0"}
     assert left.rate_hz == pytest.approx(10.0, rel=0.01)
     assert not left.commanded
 

@@ -19,6 +19,7 @@ def called(command: list[str]) -> subprocess.CompletedProcess[str]:
 def test_odrives_are_found_wrong_and_set_on_a_real_bus(tmp_path: Path) -> None:
     fresh_vcan0()
     file, flat = robot_file("moby", tmp_path, "vcan0"), tmp_path / "flat_endpoints.json"
+    file.write_text(file.read_text().replace(', endpoints_of = "0.6.10 0.0.0"', ""))  # typed by hand
     robot = drivegate("sim", str(file), "--tick", "5", "--flat-endpoints", str(flat), log=tmp_path / "sim.log")
     try:
         while not flat.exists():
