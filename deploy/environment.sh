@@ -60,8 +60,12 @@ build_environment() {
     if [ "$kind" = robot ]; then "$root.new/bin/python" -I "$here/drop_viewer.py"; fi
     # Scripts and configuration name the place where the environment will be, not the one where it was built.
     grep -lIr --exclude-dir=lib --exclude-dir=lib64 "$root.new" "$root.new" | xargs -r sed -i "s|$root.new|$PREFIX|g"
-    "$root.new/bin/python" -m compileall -q -s "$root.new" -p "$PREFIX" "$root.new/lib" >/dev/null || true # some packages carry old syntax
-    printf '%s\n' "built by install.sh; uninstall.sh removes this directory" "for $kind" "of $fingerprint" >"$root.new/.drivegate"
+    # Some packages carry old syntax.
+    "$root.new/bin/python" -m compileall -q -s "$root.new" -p "$PREFIX" "$root.new/lib" >/dev/null || true
+    {
+        echo "built by install.sh; uninstall.sh removes this directory"
+        printf '%s\n' "for $kind" "of $fingerprint"
+    } >"$root.new/.drivegate"
 }
 
 pip_install() {
@@ -82,7 +86,7 @@ explain_pip() {
         *"No space left"*) why="the disk is full ($room MB are left of it)" ;;
         *"No matching distribution"* | *"NewConnectionError"* | *"NameResolution"* | *"timed out"*)
             why="a package could not be had: is there a network? Without one, see \"Without a network\" in deploy/README.md"
-            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py, for this computer and this version"
+            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py, for this computer"
             ;;
         *) why="pip failed" ;;
     esac
@@ -91,7 +95,7 @@ explain_pip() {
 
 # exchange ONE OTHER: each gets the other's place, at no moment is there none (or in two steps, where that is not to be had)
 exchange() {
-    python3 -I -c "$EXCHANGE" "$1" "$2" && return 0
+    python3 -I -c "$EXCHANGE" "$1" "$2" 2>/dev/null && return 0
     mv "$1" "$1.other"
     mv "$2" "$1"
     mv "$1.other" "$2"
@@ -110,13 +114,12 @@ swap_environment() {
     swapped=yes
 }
 
-# As it was before the swap, or before a --rollback.
+# As it was before the swap, however far that came, or before a --rollback.
 swap_back() {
-    if [ ! -e "$root.old" ]; then
-        rm -rf "$root"
-        return
+    if [ "$swapped" = yes ]; then
+        if [ -e "$root.old" ]; then exchange "$root.old" "$root"; else rm -rf "$root"; fi
     fi
-    exchange "$root.old" "$root"
-    if [ "$rollback" = no ]; then rm -rf "$root.old"; fi
+    [ "$rollback" = no ] || return 0
+    if [ "$swapped" = yes ] || [ -e "$root.older" ]; then rm -rf "$root.old"; fi
     [ ! -e "$root.older" ] || mv "$root.older" "$root.old"
 }

@@ -156,6 +156,8 @@ put_robot() {
     fi
 }
 
+can_unit() { echo "drivegate-can@$(systemd-escape "$1").service"; }
+
 device() { systemd-escape --path --suffix=device "/sys/subsystem/net/devices/$1"; }
 
 # set_up ROBOT: its unit follows its CAN interfaces, which get their bit rates
@@ -209,7 +211,7 @@ release_from_manager() {
 remove_old() {
     written | grep -vxF -f "$work/wanted" | while read -r path; do
         case $path in
-            "$DESTDIR$CONFIG"/can/*) switch disable "drivegate-can@$(systemd-escape "$(basename "$path" .conf)").service" ;;
+            "$DESTDIR$CONFIG"/can/*) switch disable "$(can_unit "$(basename "$path" .conf)")" ;;
         esac
         remove "$path"
         echo "$path" >>"$work/changed"
@@ -240,8 +242,7 @@ switch_on() {
     done
     [ "$can" = ip ] || return 0
     sort -u "$work/channels" | while read -r channel; do
-        unit="drivegate-can@$(systemd-escape "$channel").service"
-        ours | grep -qF "/$unit" || switch enable "$unit"
+        ours | grep -qF "/$(can_unit "$channel")" || switch enable "$(can_unit "$channel")"
     done
 }
 
@@ -252,11 +253,14 @@ is_enabled() { ours | grep -q "\.wants/drivegate@$1\.service\$"; }
 activate() {
     systemd-sysusers drivegate.conf
     reload
-    if [ "$can" = ip ]; then
-        sort -u "$work/channels" | while read -r channel; do
-            systemctl --quiet restart --no-block "drivegate-can@$(systemd-escape "$channel").service"
-        done
-    fi
+    start_can
+}
+
+# The interfaces that --can ip sets up, with the bit rates that are wanted now; robots are stopped at this moment.
+start_can() {
+    for conf in "$CONFIG"/can/*.conf; do
+        [ ! -f "$conf" ] || systemctl --quiet restart --no-block "$(can_unit "$(basename "$conf" .conf)")"
+    done
 }
 
 stop_robots() {
@@ -281,16 +285,17 @@ save_files() { ours | sed "s|^$DESTDIR/||" | tar -C "$DESTDIR/" -cf "$1" --no-re
 
 # restore_files TAR: what is in it is there again, and nothing else of ours
 restore_files() {
+    if live; then systemctl --quiet stop 'drivegate-can@*.service'; fi
     tar -C "$DESTDIR/" -xf "$1"
     tar -tf "$1" | sed "s|^|$DESTDIR/|" >"$work/restored"
     ours | grep -vxF -f "$work/restored" | xargs -r -d '\n' rm -f
     remove_empty
-    if live; then reload; fi
+    if live; then reload && start_can; fi
 }
 
 take_back() {
     say "taking back what was changed" >&2
-    if [ "$swapped" = yes ]; then swap_back; fi
+    swap_back
     restore_files "$work/before.tar"
     xargs -r -d '\n' rm -f <"$work/new_files"
 }
@@ -300,10 +305,13 @@ finish() {
     trap - EXIT INT TERM HUP
     set +e
     if [ "$code" != 0 ] && [ "$changing" = yes ]; then
-        if (set -e; take_back); then
+        (set -e && take_back)
+        # shellcheck disable=SC2181 # as a condition it would not end at what fails in it
+        if [ $? = 0 ]; then
             echo "$0: failed; everything is as it was before" >&2
         else
-            echo "$0: failed, and so did taking it back: the files before are in $work/before.tar; run it again, or uninstall.sh" >&2
+            echo "$0: failed, and so did taking it back: the files that were there are in $work/before.tar," \
+                "the environment in $root.old; mend what is said above and run it again" >&2
             work=
         fi
         # shellcheck disable=SC2086 # words
@@ -357,8 +365,8 @@ trap finish EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM HUP
 touch "$work/wanted" "$work/new_files" "$work/changed" "$work/channels"
-check_words
 refuse_while_moving
+check_words
 if [ "$rollback" = yes ]; then
     roll_back
     exit

@@ -1,6 +1,7 @@
 """What install.sh does into a directory of its own: refuses, writes, takes away, takes back; nothing is brought up."""
 
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from packaging.requirements import Requirement
 
 import gateway
 from tests.world import ROBOTS
@@ -460,7 +462,7 @@ def test_rollback_is_refused_where_the_old_software_does_not_take_the_robot_file
     assert "for desk" in (bare.root / "opt/drivegate/.drivegate").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("program", "call"), [("install", 2), ("install", 15), ("systemctl", 1)])
+@pytest.mark.parametrize(("program", "call"), [("install", 2), ("install", 15), ("systemctl", 1), ("mv", 1)])
 @pytest.mark.parametrize("fresh", [True, False], ids=["first", "upgrade"])
 def test_what_fails_in_the_middle_is_taken_back(bare: Machine, program: str, call: int, fresh: bool) -> None:
     if not fresh:
@@ -495,3 +497,15 @@ def test_taking_the_viewer_out_leaves_a_package_that_knows_its_files(tmp_path: P
         subprocess.run(command, env={"PYTHONPATH": str(tmp_path)}, check=True)
     assert not (tmp_path / "rerun_cli/rerun").exists()
     assert (folder / "RECORD").read_text(encoding="utf-8") == kept
+
+
+def test_a_wheelhouse_has_what_is_run_and_what_builds_it() -> None:
+    told = runpy.run_path(str(DEPLOY / "wheelhouse.py"))
+    kinds = ("client", "robot", "desk")
+    assert set(told["KINDS"]) == set(kinds)
+    client, robot, desk = ({Requirement(one).name for one in told["packages"](kind)} for kind in kinds)
+    assert client < robot < desk
+    assert {"pip", "hatchling", "mypy", "eclipse-zenoh"} <= client
+    assert {"rerun-sdk", "python-can"} <= robot - client
+    assert {"scipy", "mcap"} <= desk - robot
+    assert "manylinux_2_28_aarch64" in told["platforms"]("aarch64")

@@ -197,6 +197,8 @@ def test_a_viewer_that_is_not_there_is_said(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(viewer_module, "_program", lambda: tmp_path / "rerun")
     with pytest.raises(MissingPartError, match="not installed"):
         LiveViewer()
+    found = CliRunner().invoke(build("watch"), ["watch", "moby", "--viewer"])
+    assert isinstance(found.exception, MissingPartError), "whether there is a robot is another question"
     (tmp_path / "rerun").symlink_to("/bin/false")
     with pytest.raises(ViewerError, match="ended with exit code"):
         LiveViewer()
