@@ -170,7 +170,7 @@ class TwistLimiter:
         self.rates = scaled(self.rates, factor)
         self._rate = scaled(self._rate, factor)
 
-    def step(  # all that may hold a setpoint back
+    def step(
         self,
         target: Rates,
         dt: float,
@@ -304,7 +304,10 @@ class TwistLimiter:
 
 
 def eased(ease: Ease, rates: Rates, way: Rates, acceleration: Rates) -> Ease:
-    """What of it holds for a setpoint that goes this way: nothing while that leads towards rest."""
+    """What of it holds for a setpoint that goes this way: nothing while that leads towards rest.
+
+    Where one axis falls and another grows, more of the acceleration limits decides: a straight line has one pace.
+    """
     if ease == NO_EASE:
         return NO_EASE
     units = [1.0 / (limit * limit) for limit in acceleration]
