@@ -191,6 +191,19 @@ def test_known_pads(name: str) -> None:
     assert layout[:5] == (deadman, deadman_name, stop, stop_name, turn)
 
 
+@pytest.mark.parametrize("name", PADS)
+def test_a_pad_needs_what_its_layout_uses_and_no_more(name: str) -> None:
+    device, _ = PADS[name]
+    layout = layout_of(device)
+    assert layout is not None
+    (row,) = (row for row in LAYOUTS if row.layout is layout)
+    buttons, axes_ = row.buttons | {layout.deadman, layout.stop}, row.axes | {0, 1, layout.turn, layout.other}
+    least = device._replace(buttons=buttons, axes=axes_)
+    assert layout_of(least) is layout
+    assert [one for one in buttons if layout_of(least._replace(buttons=buttons - {one})) is layout] == []
+    assert [one for one in axes_ if layout_of(least._replace(axes=axes_ - {one})) is layout] == []
+
+
 def test_every_row_is_somebodys() -> None:
     assert {layout_of(device) for device, _ in PADS.values()} == {row.layout for row in LAYOUTS}
 
@@ -339,13 +352,59 @@ def test_behind_lost_events_the_deadman_wants_another_press_and_the_sticks_are_a
     assert found.wish(0.1).press is not None
 
 
-def test_the_cross_sets_the_scale_as_axis_or_as_buttons() -> None:
+@pytest.mark.parametrize(
+    ("event", "faster"),
+    [
+        (stick(codes.ABS_HAT0Y, -1), 1),
+        (stick(codes.ABS_HAT0Y, 1), -1),
+        (stick(codes.ABS_HAT0Y, 0), 0),
+        (Event(codes.EV_KEY, codes.BTN_DPAD_UP, 1), 1),
+        (Event(codes.EV_KEY, codes.BTN_DPAD_DOWN, 1), -1),
+        (Event(codes.EV_KEY, codes.BTN_DPAD_UP, 0), 0),
+    ],
+)
+def test_the_cross_sets_the_scale_as_axis_or_as_buttons(event: Event, faster: int) -> None:
     found = pad()
-    up = [stick(codes.ABS_HAT0Y, -1), stick(codes.ABS_HAT0Y, 0)]
-    down = [Event(codes.EV_KEY, codes.BTN_DPAD_DOWN, 1), Event(codes.EV_KEY, codes.BTN_DPAD_DOWN, 0)]
-    found.hear([*up, *up, *down], 0.0)
-    assert found.wish(0.0).faster == 1
-    assert found.wish(0.0).faster == 0
+    found.hear([event, event], 0.0)
+    assert found.wish(0.0).faster == 2 * faster
+    assert found.wish(0.0) == Wish()
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        *(Event(codes.EV_KEY, X, 32767), Event(codes.EV_ABS, LAYOUT.stop, 1), Event(codes.EV_ABS, LAYOUT.deadman, 1)),
+        *(Event(4, X, 32767), Event(4, LAYOUT.stop, 1), Event(4, LAYOUT.deadman, 1)),  # of kind EV_MSC
+        *(Event(codes.EV_KEY, LAYOUT.stop, 0), Event(codes.EV_KEY, LAYOUT.deadman, 2), SYN),
+    ],
+)
+def test_what_is_neither_stick_nor_button_is_nothing(event: Event) -> None:
+    found = pad()
+    assert not found.hear([event], 0.0)
+    assert found.wish(0.0) == Wish()
+    found.hear([PRESS], 0.0)
+    assert not found.hear([event._replace(kind=codes.EV_ABS)], 0.0)
+    assert found.wish(0.0).press == 1
+
+
+def test_only_what_ends_something_is_sent_at_once() -> None:
+    found = pad()
+    assert not found.hear([], 0.0)
+    assert not found.hear([PRESS], 0.0)
+    assert not found.hear([stick(Y, -32768)], 0.0)
+    assert found.hear([RELEASE, PRESS], 0.0), "another press, also"
+
+
+def test_codes_are_those_of_another_library() -> None:
+    ecodes = pytest.importorskip("evdev", reason="it has wheels for x86-64 only").ecodes
+    ours = {name: value for name, value in vars(codes).items() if name.startswith(("EV_", "SYN_", "ABS_", "BTN_"))}
+    del ours["BTN_LAST"]
+    assert len(ours) > 20
+    assert ours == {name: ecodes.ecodes[name] for name in ours}
+    assert ecodes.BTN_GAMEPAD <= codes.BTN_LAST < ecodes.BTN_DIGI
+    assert {number: ecodes.ecodes[f"ABS_{name}"] for number, name in codes.AXIS_NAMES.items()} == {
+        number: number for number in codes.AXIS_NAMES
+    }
 
 
 # all of it, whatever comes
