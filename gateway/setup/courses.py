@@ -5,6 +5,7 @@ robot's middle (`base_link`) stood, and how far it turned. Which cycles of which
 turned how.
 """
 
+from collections.abc import Mapping
 from enum import Enum
 from math import pi, tau
 from typing import Annotated, Final, NamedTuple, Self
@@ -25,6 +26,14 @@ TURNS: Final = 2.5  # not a whole number: after that the middle is back wherever
 
 class CourseError(ValueError):
     """Courses that say nothing, or not enough; the text says why."""
+
+
+def in_words(refused: Mapping[str, str]) -> str:
+    """Reasons by name, each once, with all the names it is of."""
+    names: dict[str, list[str]] = {}
+    for name, reason in refused.items():
+        names.setdefault(reason, []).append(name)
+    return "; ".join(f"{', '.join(some)}: {reason}" for reason, some in names.items())
 
 
 class CourseName(Enum):

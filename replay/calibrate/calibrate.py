@@ -1,6 +1,6 @@
 """From measured courses to the geometry of a robot file, each number with its interval, or to why not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.config import RobotConfig
 from gateway.kinematics.contract import GeometryError
-from gateway.setup.courses import CourseError, CourseName, Courses
+from gateway.setup.courses import CourseError, CourseName, Courses, in_words
 from replay.calibrate.fitting import (
     DOUBT,
     LEAST_SPARE,
@@ -88,15 +88,7 @@ def _best(
         refused |= {model.names[at]: reason for at, reason in untold.items()}
         free = [at for at in free if at not in untold]
         if not model.optional or not free:
-            raise CourseError(_all(refused))
-
-
-def _all(refused: Mapping[str, str]) -> str:
-    """Reasons, each once, with the names it is of."""
-    names: dict[str, list[str]] = {}
-    for name, reason in refused.items():
-        names.setdefault(reason, []).append(name)
-    return "; ".join(f"{', '.join(some)}: {reason}" for reason, some in names.items())
+            raise CourseError(in_words(refused))
 
 
 class _Search:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gateway.config import RobotConfig
-from gateway.setup.courses import CourseError, Courses
+from gateway.setup.courses import CourseError, Courses, in_words
 from replay.calibrate.fitting import DOUBT
 from replay.calibrate.likelihood import Consistency, Grown, Spread, consistency, likeliest, systematic
 from replay.calibrate.ways import Array, Driven, mapping, off, steps, tape_noise, traced
@@ -71,7 +71,7 @@ def judged(config: RobotConfig, courses: Courses, driven: Sequence[Driven]) -> J
     ]
     untold = [_untold(key, one, len(driven)) for key, one in zip(KEYS, found, strict=True) if one.low is None]
     if not growths:
-        raise CourseError("; ".join(f"{one.key}: {one.reason}" for one in untold))
+        raise CourseError(in_words({one.key: one.reason for one in untold}))
     after = np.array([before if one.low is None else one.value for before, one in zip(old, found, strict=True)])
     return Judged(growths, untold, consistency(spreads, old), consistency(spreads, after), len(driven))
 
