@@ -60,13 +60,20 @@ root=$DESTDIR$PREFIX
 
 kind_before() { if [ -f "$root/.drivegate" ]; then sed -n 's/^for //p' "$root/.drivegate"; fi; }
 
+# Who set the interfaces up until now: as it is written down, or else as it looks.
 can_before() {
     if [ -f "$DESTDIR$CONFIG/can/kind" ]; then
         cat "$DESTDIR$CONFIG/can/kind"
-    else
-        case $(written) in *"$CONFIG/can/"*) echo ip ;; *) echo networkd ;; esac
+        return
     fi
+    case $(written) in
+        *"$CONFIG/can/"*) echo ip ;;
+        *"$NETWORKS/"*) echo networkd ;;
+        *) if bound_to_real; then echo none; else echo networkd; fi ;;
+    esac
 }
+
+bound_to_real() { written | xargs -r -d '\n' grep -h '^BindsTo=' | tr ' =' '\n' | grep '\.device$' | grep -qv 'devices-vx\{0,1\}can'; }
 
 # Robots that this computer is set up for: those that are bound to CAN interfaces, or started at boot.
 robots_before() {

@@ -312,6 +312,15 @@ def test_another_way_of_setting_up_leaves_nothing_of_the_one_before(machine: Mac
     assert machine.install("--no-venv").said == "", "it stays so, and once more changes nothing"
 
 
+@pytest.mark.parametrize("kind", WAYS)
+def test_the_way_of_an_installation_that_has_not_written_it_down_stays(machine: Machine, kind: str) -> None:
+    enabled(machine, kind=kind)
+    (machine.config / "can/kind").unlink()
+    before = {name for name in machine.tree() if "can0" in name}
+    assert machine.install("--no-venv").code == 0
+    assert {name for name in machine.tree() if "can0" in name} == before
+
+
 def test_another_channel_leaves_nothing_of_the_one_before(machine: Machine) -> None:
     enabled(machine)
     machine.robot("moby", OTHER_CHANNEL)
