@@ -112,6 +112,8 @@ class MecanumRobot(Section):
         turned = {wheel.motor: pose.roller_angle for wheel, pose in zip(self.wheel, crossed, strict=True)}
         right = [motor for motor, angle in turned.items() if angle < 0.0]
         left = [motor for motor, angle in turned.items() if angle > 0.0]
+        if not (right and left):
+            return ""
         return (
             f". Rollers of {' and '.join(right)} must go one way (roller_angle = {turned[right[0]]:.4g}), those of "
             f"{' and '.join(left)} the other ({turned[left[0]]:.4g}): on top of the wheels, seen from above, they make "

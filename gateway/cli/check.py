@@ -86,7 +86,10 @@ def _draw(robot: AnyRobot | None, path: Path) -> bool:
         return False
     try:
         import_module("gateway.cli.picture").draw(robot, path)  # nobody else needs it
-    except (OSError, GeometryError) as error:
+    except GeometryError:  # which is told as a problem of the file
+        complain("no picture: these wheels cannot drive the robot, so there is no wheel matrix to draw")
+        return False
+    except OSError as error:
         complain(f"no picture: {in_words(error)}")
         return False
     note(f"{path}: the robot from above, and what each motor does when it turns positively")

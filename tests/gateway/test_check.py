@@ -144,7 +144,7 @@ def test_a_picture_of_a_robot_whose_other_sections_are_wrong(tmp_path: Path) -> 
         ((), "missing/out.svg", 1, ": No such file or directory"),
         ((), "missing/out.png", 1, ": No such file or directory"),
         (((r"^radius = .*$", "radius = 0.0"),), "out.svg", 78, "no picture: what is wrong is in [robot]"),
-        (((r"^axis_angle = .*$", "axis_angle = 0.0"),), "out.svg", 78, "no picture: wheel directions are not"),
+        (((r"^axis_angle = .*$", "axis_angle = 0.0"),), "out.svg", 78, "no picture: these wheels cannot drive"),
     ],
 )
 def test_a_picture_that_cannot_be(

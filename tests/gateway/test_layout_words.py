@@ -1,6 +1,6 @@
 """Layouts that cannot be driven, or hardly, are told in words of who builds them: which motion, and what is meant."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import atan2, cos, pi, sin
 
 import numpy as np
@@ -184,6 +184,25 @@ def test_a_motion_that_is_taken_out_is_the_one_that_is_told(given_rows: Matrix, 
     assert len(told) == 1
     assert told[0].words.startswith("move ")
     assert told[0].share == pytest.approx(0.0, abs=1e-9)
+
+
+PLACE = st.sampled_from([0.0, 0.0, 0.2, -0.2, 0.16, 1e-9, 10.0])
+TURN = st.sampled_from([0.0, E, -E, 2 * E, 3 * E, pi, 1e-9, 0.3, 6.3])
+POSES = st.lists(st.tuples(PLACE, PLACE, TURN), min_size=3, max_size=6)
+
+
+@given(POSES, st.sampled_from([omni, mecanum]))
+@settings(max_examples=300, deadline=None)
+def test_any_layout_is_driven_or_refused_in_words(
+    poses: list[tuple[float, float, float]], make: Callable[..., Chassis]
+) -> None:
+    robot = make(*[angle for *_, angle in poses], places={f"m{at}": (x, y) for at, (x, y, _) in enumerate(poses)})
+    try:
+        robot.kinematics()
+    except GeometryError as refused:
+        assert "cannot" in str(refused) or "drives nothing" in str(refused)
+        return
+    assert all(words.startswith("robot.") for words in robot.doubts())
 
 
 def test_a_lever_that_is_nothing_but_rounding_turns_nothing() -> None:
