@@ -23,14 +23,25 @@ def allow(what: str, question: str, *, yes: bool) -> None:
     if sys.stdin is None or not sys.stdin.isatty():  # None: it was closed
         raise NotAllowedError("a person has to let it happen: run it on a terminal, or stand by and give --yes")
     errors.print(f"Type {ANSWER} {question}: ", end="", highlight=False, markup=False)
-    if sys.stdin.readline().strip() != ANSWER:
+    if _typed().strip() != ANSWER:
         raise NotAllowedError("nobody let it happen")
 
 
 def ask(question: str) -> str:
     """One line of a person, or of a script. Raises NotAllowedError where there is none any more."""
     errors.print(f"{question} ", end="", highlight=False, markup=False)
-    line = "" if sys.stdin is None else sys.stdin.readline()
+    line = _typed()
     if not line:
         raise NotAllowedError("nobody answers any more")
     return line.strip()
+
+
+def _typed() -> str:
+    """One line with its end; without one the question has its line for itself, also where a Ctrl-C ended it."""
+    line = ""
+    try:
+        line = "" if sys.stdin is None else sys.stdin.readline()
+    finally:
+        if not line.endswith("\n"):
+            errors.print()
+    return line

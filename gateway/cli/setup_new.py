@@ -1,5 +1,6 @@
 """`drivegate setup new`: an interview that writes a robot file."""
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -97,6 +98,10 @@ def _written(file: Path, asker: Asker) -> str:
     """The text that is in the file now. Raises AnswerError, NotAllowedError, OSError."""
     if file.exists():
         raise AnswerError(f"{file}: is there already, and stays as it is")
+    if not (
+        file.parent.is_dir() and os.access(file.parent, os.W_OK)
+    ):  # asked before a person answers, whose answers would be lost
+        raise AnswerError(f"{file}: cannot be written: {file.parent} is no folder that is there and may be written to")
     text = robot_file(asker)
     if asker.left:
         raise AnswerError(f"{', '.join(asker.left)}: nobody asked for that; asked was {', '.join(asker.answers)}")

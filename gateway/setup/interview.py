@@ -160,9 +160,9 @@ def _omni(draft: _Drafting) -> _Chassis:
         angle = (first / 180.0 + 2.0 * place / count) * pi
         angle -= 2.0 * pi * round(angle / (2.0 * pi))
         sine, cosine = sin_cos(angle)
-        lines += ["[[robot.wheel]]", f'motor = "wheel_{place + 1}"', f"x = {_short(reach * cosine)}"]
+        lines += ["[[robot.wheel]]", f'motor = "wheel_{place + 1}"', f"x = {_place(reach * cosine)}"]
         lines += [
-            f"y = {_short(reach * sine)}",
+            f"y = {_place(reach * sine)}",
             f"axis_angle = {angle!r}   # of its axle, outward, from forward; turned positively it drives to its left",
             *(f"radius = {radius}", ""),
         ]
@@ -378,8 +378,8 @@ def _vesc(draft: _Drafting, _of: _Controller) -> list[str]:
 
 # What the makers say of their motors, as in the bundled robot files; torques are those that last.
 _CONTROLLERS: Final[dict[str, _Controller]] = {
-    "odrive 0.6": _Controller("odrive", "0.6", 250_000, None, None, None, None, 100.0, _odrive_06),
-    "odrive 0.5": _Controller("odrive", "0.5", 250_000, None, None, None, None, 100.0, _odrive_05),
+    "odrive-0.6": _Controller("odrive", "0.6", 250_000, None, None, None, None, 100.0, _odrive_06),
+    "odrive-0.5": _Controller("odrive", "0.5", 250_000, None, None, None, None, 100.0, _odrive_05),
     "c620": _Controller("dji", "c620", 1_000_000, 3591 / 187, 20.0, 4.5, 48.0, 1000.0, _esc),
     "c610": _Controller("dji", "c610", 1_000_000, 36.0, 10.0, 1.0, 50.0, 1000.0, _esc),
     "gm6020": _Controller("dji", "gm6020", 1_000_000, 1.0, 1.62, 1.2, 26.0, 1000.0, _gm6020),
@@ -416,6 +416,11 @@ def _limits(draft: _Drafting, chassis: _Chassis, top: float) -> list[str]:
 def _short(value: float) -> float:
     """To four digits, as a person would write it; never 0 for what is not."""
     return float(f"{value:.4g}")
+
+
+def _place(value: float) -> float:
+    """The same of a place, m: what is less than a micrometre is 0."""
+    return _short(round(value, 6)) + 0.0  # -0.0 becomes 0.0
 
 
 def _toml(text: str) -> str:

@@ -33,7 +33,7 @@ def way(kind: str, to: int | None) -> tuple[str, str, How]:
     driver, variant = KINDS[kind]
     ids, how = DRIVERS[driver].renaming(variant)
     if to is not None and to not in ids:
-        raise RenamingError(f"--to {to}: a {kind} has an id of {ids.start} to {ids.stop - 1}")
+        raise RenamingError(f"--to {to}: {kind} has an id of {ids.start} to {ids.stop - 1}")
     return driver, variant, how
 
 

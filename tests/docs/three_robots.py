@@ -36,7 +36,7 @@ WHAT_TURNED: Final = r"What turned\?[^\n]*n: nothing $"
 YES: Final = r"Type yes [^\n]*: $"
 
 ODRIVE: Final = {
-    "Which motor controllers?": "odrive 0.6",
+    "Which motor controllers?": "odrive-0.6",
     "Do you know the endpoints": "yes",
     "Which version": "0.6.10",
     "Endpoint of enable_watchdog": "188",

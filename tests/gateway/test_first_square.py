@@ -15,7 +15,7 @@ from tests.world import World
 
 SIDE = 0.5  # m/s for a second, and what it takes to stop
 ODRIVE: dict[str, Value] = {
-    "motor.controller": "odrive 0.6",
+    "motor.controller": "odrive-0.6",
     "motor.watchdog": "yes",
     "motor.options.firmware": "0.6.10",
     "motor.options.watchdog_enable_endpoint": 188,

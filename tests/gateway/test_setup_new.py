@@ -21,6 +21,7 @@ from gateway.config import Motor, parse
 from gateway.core.examination import examine
 from gateway.setup.fields import AnswerError, Value, choice, field
 from gateway.setup.interview import _CHASSIS, _CONTROLLERS, Question, robot_file
+from gateway.setup.renaming import KINDS
 from gateway.types import Mode, Request, RequestKind, Twist
 from tests.world import World
 
@@ -37,14 +38,14 @@ MOTOR: dict[str, Value] = {
     "motor.max_speed": 30,
 }
 CONTROLLERS: dict[str, dict[str, Value]] = {
-    "odrive 0.6": {
+    "odrive-0.6": {
         **MOTOR,
         "motor.watchdog": "yes",
         "motor.options.firmware": "0.6.10",
         "motor.options.watchdog_enable_endpoint": 188,
         "motor.options.watchdog_timeout_endpoint": 189,
     },
-    "odrive 0.5": MOTOR,
+    "odrive-0.5": MOTOR,
     "c620": {},
     "c610": {},
     "gm6020": {},
@@ -79,6 +80,10 @@ def test_every_chassis_with_every_controller_is_a_robot_that_can_be_driven(chass
     assert text.count("#") > 10
 
 
+def test_a_controller_has_one_name_in_every_step() -> None:
+    assert set(_CONTROLLERS) == set(KINDS)
+
+
 def test_the_tables_are_those_of_the_gateway() -> None:
     assert set(_CHASSIS) == set(CHASSIS) == set(REGISTRY)
     assert set(_CONTROLLERS) == set(CONTROLLERS)
@@ -89,7 +94,7 @@ def test_wheels_are_where_they_are_said_to_be() -> None:
     assert isinstance(config.robot, OmniRobot)
     first, second, third = config.robot.wheel
     assert (first.x, first.y) == pytest.approx((0.1, 0.1732), abs=1e-4)  # 60 degrees
-    assert (second.x, second.y) == pytest.approx((-0.2, 0.0), abs=1e-4)
+    assert (second.x, repr(second.y)) == (-0.2, "0.0")  # no rounding error for a person to wonder about
     assert third.axis_angle == pytest.approx(-1.0472, abs=1e-4)
     rectangle = parse(robot_file(asking(answers_of("mecanum", "c620"))), "ours").robot
     assert isinstance(rectangle, MecanumRobot)
@@ -201,6 +206,19 @@ def test_a_person_is_asked_again_until_it_can_be(tmp_path: Path, monkeypatch: py
     build("setup")(["setup", "new", str(file)], standalone_mode=False)
     config = parse(file.read_text(), "ours")
     assert (config.robot.name, len(config.motor), config.robot.body.mass) == ("ours", 3, 12.0)
+
+
+@pytest.mark.parametrize("folder", ["missing", "file"])
+def test_where_it_cannot_be_written_nobody_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(sys, "stdin", Terminal("omni\n"))
+    with pytest.raises(SystemExit, match="1"):
+        build("setup")(["setup", "new", str(tmp_path / folder / "ours.toml")])
+    said = capsys.readouterr().err
+    assert "ours.toml: cannot be written" in said
+    assert "What kind" not in said
 
 
 def test_a_person_who_leaves_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
