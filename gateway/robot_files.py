@@ -71,6 +71,15 @@ def find(name_or_path: str) -> Path:
     return locate(name_or_path).path
 
 
+def find_own(name_or_path: str) -> Path:
+    """The same of one that is to be corrected: none that came with the package. Raises ConfigError."""
+    found = locate(name_or_path)
+    if found.place is Place.BUNDLED:
+        words = f"is bundled and stays as it is; correct a copy of it: cp {found.path} {name_or_path}.toml"
+        raise ConfigError(name_or_path, [words])
+    return found.path
+
+
 def find_bundled(name_or_path: str) -> Path:
     """The same, whatever is installed here: of what shows the same on every computer. Raises ConfigError."""
     return bundled().get(name_or_path) or find(name_or_path)

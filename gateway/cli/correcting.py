@@ -2,11 +2,24 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from gateway import robot_files
 from gateway.cli.asking import allow
 from gateway.cli.output import errors
 from gateway.cli.rewriting import keep, rewrite
 from gateway.setup.correction import Change, corrected, difference
+
+
+def _own(file: Path) -> Path:
+    return robot_files.find_own(str(file))
+
+
+OwnFile = Annotated[
+    Path, typer.Argument(callback=_own, help="Robot file, or the name of an installed one; it is corrected.")
+]
 
 
 def correct(file: Path, text: str, changes: Sequence[Change], *, yes: bool) -> Path | None:

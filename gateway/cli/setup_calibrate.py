@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gateway.cli.asking import NotAllowedError, Yes
+from gateway.cli.correcting import OwnFile
 from gateway.cli.operate import Connect
 from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.cli.rewriting import RewriteError
@@ -22,7 +23,6 @@ from gateway.cli.setup_courses import (
     Names,
     Out,
     Repeat,
-    RobotFile,
     SessionFolder,
     SourceName,
     Truth,
@@ -48,7 +48,7 @@ REFUSALS = (
 
 
 def calibrate(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
-    file: RobotFile,
+    file: OwnFile,
     measured: Measured = None,
     session: SessionFolder = None,
     course: Names = None,

@@ -41,7 +41,6 @@ TOLD_TIMEOUT_S = 5.0
 FAR, TURNED = 100.0, 36_000.0  # m and degrees: more is mistyped
 RECORDED_S = 2.0  # after which the recorder has surely written a cycle
 
-RobotFile = Annotated[Path, typer.Argument(help="Robot file of the running robot; it is changed.")]
 Measured = Annotated[
     Path | None,
     typer.Option(help="Courses driven earlier, with what was measured of them (TOML). Nothing moves."),

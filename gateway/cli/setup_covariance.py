@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gateway.cli.asking import Yes
+from gateway.cli.correcting import OwnFile
 from gateway.cli.operate import Connect
 from gateway.cli.output import console, errors, print_json
 from gateway.cli.setup_calibrate import REFUSALS, refuse
@@ -22,7 +23,6 @@ from gateway.cli.setup_courses import (
     Names,
     Out,
     Repeat,
-    RobotFile,
     SessionFolder,
     SourceName,
     Truth,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def covariance(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
-    file: RobotFile,
+    file: OwnFile,
     measured: Measured = None,
     session: SessionFolder = None,
     course: Names = None,

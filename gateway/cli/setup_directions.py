@@ -1,15 +1,14 @@
 """`drivegate setup directions`: which controller drives which wheel, and which way; the robot file is corrected."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gateway.cli.asking import NotAllowedError, Yes, allow, ask
-from gateway.cli.correcting import correct
+from gateway.cli.correcting import OwnFile, correct
 from gateway.cli.output import complain, errors, print_json
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import EXIT_REFUSED, run, warning, words
+from gateway.cli.setup_jog import EXIT_REFUSED, exit_code, run, warning, words
 from gateway.config import Bus, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -30,7 +29,7 @@ class DirectionsError(RuntimeError):
 
 
 def directions(  # noqa: PLR0917  # a command line: each parameter is an option with a name
-    file: Annotated[Path, typer.Argument(help="Robot file; it is corrected.")],
+    file: OwnFile,
     by_hand: Annotated[bool, typer.Option("--by-hand", help="Nothing is energised: you turn each wheel.")] = False,
     speed: Annotated[float, typer.Option(help="Rad/s at the output, up to 1.")] = USUAL_SPEED,
     seconds: Annotated[float, typer.Option(help="For how long each wheel turns, up to 5.")] = USUAL_SECONDS,
@@ -62,7 +61,7 @@ def directions(  # noqa: PLR0917  # a command line: each parameter is an option 
         if json:
             print_json({"ok": False, "reason": reason})
         complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(EXIT_REFUSED) from None
+        raise typer.Exit(exit_code(error)) from None
     if json:
         rows = [change._asdict() for change in changes]
         print_json({"ok": not missing, "changes": rows, "missing": missing, "kept": kept and str(kept)})

@@ -9,6 +9,7 @@ from drivers import DRIVERS
 from drivers.contract import CanFrame, Identity, RenamingOverCan
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.setup_jog import EXIT_REFUSED, exit_code
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
 from gateway.edges.listening import Place, listen
@@ -24,7 +25,6 @@ from gateway.setup.renaming import (
     way,
 )
 
-EXIT_REFUSED = 1
 ROLL_S = 2.0
 ASK_EVERY_S = 0.6  # answers are spread over that time
 CONFIRM_S = 3.0
@@ -61,7 +61,7 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
         if json:
             print_json({"ok": False, "reason": reason})
         complain(reason)
-        raise typer.Exit(EXIT_REFUSED) from None
+        raise typer.Exit(exit_code(error)) from None
     if json:
         print_json(document)
     if not document["ok"]:

@@ -8,18 +8,21 @@ from gateway import robot_files
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.output import complain, console, print_json
 from gateway.config import Bus, ConfigError, Motor, RobotConfig, load
+from gateway.edges.can_adapter import AdapterError
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import refuse_where_commanded
+from gateway.edges.listening import Place, refuse_where_absent
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
 from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
 from gateway.setup.words import positive_ways
 
 EXIT_REFUSED = 1
+EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 
 
 def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a name
-    file: Annotated[str, typer.Argument(help="Robot file, or the name of a bundled one.")],
+    file: Annotated[str, typer.Argument(help="Robot file, or the name of an installed or bundled one.")],
     motor: Annotated[str, typer.Argument(help="Its name in the robot file.")],
     speed: Annotated[float, typer.Option(help="Rad/s at the output, up to 1; below 0: backwards.")] = USUAL_SPEED,
     seconds: Annotated[float, typer.Option(help="For how long, up to 5.")] = USUAL_SECONDS,
@@ -30,13 +33,18 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
     config, _ = load(robot_files.find(file))
     try:
         procedure = Jog(config, motor, speed=speed, seconds=seconds)
+        look_for_bus(config, procedure.bus)
         way = positive_ways(config.robot)[motor] if speed > 0.0 else "the other way round"
         allow(
             f"{warning(config, motor)} {motor} will turn {abs(speed * seconds):.2f} rad: {way}.", "to turn it", yes=yes
         )
         outcome = run(config, procedure)
-    except (JogError, NotAllowedError) as error:
-        _refuse(str(error), json=json)
+    except (JogError, NotAllowedError, AdapterError, KeyboardInterrupt) as error:
+        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+        if json:
+            print_json({"ok": False, "reason": reason})
+        complain(reason)
+        raise typer.Exit(exit_code(error)) from None
     if json:
         print_json(outcome._asdict() | {"ok": outcome.ending is Ending.TURNED, "ending": outcome.ending.value})
     else:
@@ -59,6 +67,17 @@ def run(config: RobotConfig, procedure: Jog) -> Outcome:
     if procedure.outcome is None:
         raise ConfigError("setup", ["the jog has no outcome"])
     return procedure.outcome
+
+
+def exit_code(error: BaseException) -> int:
+    """With what a step of setup ends that this ended: a bus that is not there may be there later."""
+    return EXIT_UNAVAILABLE if isinstance(error, AdapterError) else EXIT_REFUSED
+
+
+def look_for_bus(config: RobotConfig, name: str) -> None:
+    """Raises AdapterError where it is not there: before a person is asked for a yes."""
+    bus = bus_of(config, name)
+    refuse_where_absent(Place(bus.interface, bus.channel))
 
 
 def bus_of(config: RobotConfig, name: str) -> Bus:
@@ -86,10 +105,3 @@ def words(outcome: Outcome) -> str:
     reason = f": {outcome.reason}" if outcome.reason else ""
     held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
     return f"{outcome.motor}: {outcome.ending.value}{moved}{reason}{held}"
-
-
-def _refuse(reason: str, *, json: bool) -> None:
-    if json:
-        print_json({"ok": False, "reason": reason})
-    complain(reason)
-    raise typer.Exit(EXIT_REFUSED) from None

@@ -9,17 +9,17 @@ from rich.table import Table
 
 from drivers.odrive.endpoints import EndpointError, FlatEndpoints, read_flat
 from gateway.cli.asking import Yes
+from gateway.cli.correcting import OwnFile
 from gateway.cli.output import complain, console, in_words, print_json
 from gateway.cli.preparing import PrepareError, Preparing, to_ourselves
 from gateway.cli.rewriting import RewriteError
-from gateway.cli.setup_jog import EXIT_REFUSED
+from gateway.cli.setup_jog import EXIT_REFUSED, exit_code
 from gateway.config import Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.setup.correction import CorrectionError
 from gateway.setup.preparation import Line, Verdict, wrong
 from gateway.setup.prepare_odrive import A_YES
 
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 LONGEST_FILE: Final = 4_000_000  # bytes
 INTERRUPTED: Final = (
     "interrupted: what was written and not yet saved is gone once the controller was switched off and on"
@@ -28,7 +28,7 @@ _STYLES: Final = {Verdict.OK: "green", Verdict.NO: "red", Verdict.UNKNOWN: "yell
 
 
 def prepare(  # noqa: PLR0917  # a command line: each parameter is an option with a name
-    file: Annotated[Path, typer.Argument(help="Robot file.")],
+    file: OwnFile,
     motors: Annotated[list[str] | None, typer.Argument(help="Only these of its motors.")] = None,
     endpoints: Annotated[
         list[Path] | None,
@@ -66,7 +66,7 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
         if json:
             print_json({"ok": False, "reason": reason})
         complain(reason)
-        raise typer.Exit(EXIT_UNAVAILABLE if isinstance(error, AdapterError) else EXIT_REFUSED) from None
+        raise typer.Exit(exit_code(error)) from None
     bad = wrong(work.lines)
     if json:
         rows = [line._asdict() | {"verdict": line.verdict.value} for line in work.lines]

@@ -1,15 +1,14 @@
 """`drivegate setup reference`: where a steered joint has its zero, and which way its encoder counts."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gateway.cli.asking import NotAllowedError, Yes, ask
-from gateway.cli.correcting import correct
+from gateway.cli.correcting import OwnFile, correct
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import EXIT_REFUSED, bus_of
+from gateway.cli.setup_jog import bus_of, exit_code
 from gateway.config import Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -26,7 +25,7 @@ NOT_BY_HAND = "n"
 
 
 def reference(
-    file: Annotated[Path, typer.Argument(help="Robot file; it is corrected.")],
+    file: OwnFile,
     yes: Yes = False,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable result.")] = False,
 ) -> None:
@@ -55,7 +54,7 @@ def reference(
         if json:
             print_json({"ok": False, "reason": reason})
         complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(EXIT_REFUSED) from None
+        raise typer.Exit(exit_code(error)) from None
     if absolute:
         errors.print("Cut the power of these joints once, and run this again: a zero that changes is no absolute one.")
     if json:

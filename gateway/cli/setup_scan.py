@@ -1,7 +1,6 @@
 """`drivegate setup scan`: who is on a bus."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -9,6 +8,7 @@ from rich.table import Table
 
 from drivers import DRIVERS
 from drivers.contract import CanFrame
+from gateway import robot_files
 from gateway.cli.doctor import link_of
 from gateway.cli.output import complain, console, print_json
 from gateway.config import RobotConfig, load
@@ -30,7 +30,7 @@ def scan(  # noqa: PLR0917  # a command line: each parameter is an option with a
     bitrate: Annotated[int | None, typer.Option(help="Bit/s, where python-can sets it: not on socketcan.")] = None,
     seconds: Annotated[float, typer.Option(min=0.5, max=60.0, help="How long to listen.")] = 2.0,
     ask: Annotated[bool, typer.Option("--ask", help="Also ask: ODrives for their firmware, VESCs by a ping.")] = False,
-    file: Annotated[Path | None, typer.Option(help="Robot file to compare with.")] = None,
+    file: Annotated[str | None, typer.Option(help="Robot file to compare with, or its name.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Machine-readable report.")] = False,
 ) -> None:
     """Tell who answers on a bus, by listening alone: protocols, ids, errors, conflicts. Exit 1 on a conflict.
@@ -38,13 +38,15 @@ def scan(  # noqa: PLR0917  # a command line: each parameter is an option with a
     Moves and changes nothing. It asks nothing either without --ask, so a new VESC, which is silent, is not found.
     """
     place = Place(interface, bus, bitrate)
-    config = None if file is None else _on(load(file)[0], place)
+    config = None if file is None else _on(load(robot_files.find(file))[0], place)
     refuse_where_commanded(interface, bus)
     census = Census()
     try:
         errors = listen(place, seconds, lambda frame: census.take([frame]), questions=_questions(ask, census, seconds))
     except AdapterError as error:
-        complain(f"{interface} {bus}: {error}")
+        if json:
+            print_json({"ok": False, "reason": str(error)})
+        complain(str(error))
         raise typer.Exit(EXIT_UNAVAILABLE) from None
     motors = [] if config is None else config.motor
     report = census.report(seconds, known=[(motor.driver, motor.variant, motor.id) for motor in motors])

@@ -8,12 +8,13 @@ import typer
 from rich.table import Table
 
 from gateway.cli.asking import NotAllowedError, Yes, allow
-from gateway.cli.correcting import correct
+from gateway.cli.correcting import OwnFile, correct
 from gateway.cli.output import complain, console, errors, in_words, print_json
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import EXIT_REFUSED, run, warning, words
+from gateway.cli.setup_jog import exit_code, look_for_bus, run, warning, words
 from gateway.config import ConfigError, RobotConfig, load
 from gateway.core.examination import carried_inertia, examine_text
+from gateway.edges.can_adapter import AdapterError
 from gateway.setup.correction import Change, CorrectionError, corrected
 from gateway.setup.excitation import Excitation
 from gateway.setup.jog import Ending, JogError
@@ -34,7 +35,7 @@ class TuneError(RuntimeError):
 
 
 def tune(
-    file: Annotated[Path, typer.Argument(help="Robot file; it is corrected.")],
+    file: OwnFile,
     motor: Annotated[str, typer.Argument(help="Its name in the robot file.")],
     plot: Annotated[Path | None, typer.Option(help="Picture of the fit and of both loops, e.g. tune.png.")] = None,
     yes: Yes = False,
@@ -49,6 +50,7 @@ def tune(
     config, text = load(file)
     try:
         procedure = Excitation(config, motor)
+        look_for_bus(config, procedure.bus)
         with drafted(file, text):
             pass  # so that nothing turns for nothing
         allow(
@@ -66,14 +68,14 @@ def tune(
             import_module("gateway.cli.tune_picture").draw_tuned(motor, tuned, plot)
         kept = correct(file, text, new, yes=yes)
     except (
-        *(TuneError, JogError, CorrectionError, RewriteError, NotAllowedError, ConfigError, OSError),
+        *(TuneError, JogError, CorrectionError, RewriteError, NotAllowedError, ConfigError, OSError, AdapterError),
         KeyboardInterrupt,
     ) as error:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else in_words(error)
         if json:
             print_json({"ok": False, "reason": reason})
         complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(EXIT_REFUSED) from None
+        raise typer.Exit(exit_code(error)) from None
     if json:
         print_json({"ok": True, **_document(motor, tuned), "kept": kept and str(kept)})
 

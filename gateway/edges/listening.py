@@ -3,7 +3,8 @@
 import errno
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from drivers.contract import CanFrame
@@ -28,6 +29,23 @@ class Place(NamedTuple):
         return self.channel
 
 
+def refuse_where_absent(place: Place) -> None:
+    """Raises AdapterError where this computer has no such interface; of others than SocketCAN only opening tells."""
+    if place.interface == "socketcan" and not interface_exists(place.channel):
+        with _named(place):
+            raise AdapterError(OSError(f"{os.strerror(errno.ENODEV)}; `ip -brief link` shows those that there are"))
+
+
+@contextmanager
+def _named(place: Place) -> Iterator[None]:
+    """What fails says of which bus it is."""
+    try:
+        yield
+    except AdapterError as error:
+        error.args = (f"{place.interface} {place.channel}: {error}",)
+        raise
+
+
 def listen(
     place: Place,
     seconds: float,
@@ -40,11 +58,9 @@ def listen(
 
     `questions`: what to send now, asked again and again with the seconds gone. `going_on`: False ends it sooner.
     """
-    if place.interface == "socketcan" and not interface_exists(place.channel):
-        error = OSError(errno.ENODEV, os.strerror(errno.ENODEV))
-        raise AdapterError(error)
+    refuse_where_absent(place)
     errors: dict[str, int] = {}
-    with opened(interface=place.interface, channel=place.channel, bitrate=place.bitrate) as bus:
+    with _named(place), opened(interface=place.interface, channel=place.channel, bitrate=place.bitrate) as bus:
         begin_ns = time.monotonic_ns()
         while going_on() and (gone := (time.monotonic_ns() - begin_ns) * 1e-9) < seconds:
             for frame in questions(gone):

@@ -54,6 +54,11 @@ READING = [
     ("setup", "scan", "can0", "--file", "FILE"),
     ("setup", "jog", "FILE", "front_left"),
     ("setup", "directions", "FILE"),
+    ("setup", "reference", "FILE"),
+    ("setup", "prepare", "FILE"),
+    ("setup", "tune", "FILE", "front_left"),
+    ("setup", "calibrate", "FILE"),
+    ("setup", "covariance", "FILE"),
     ("replay", "inject", SESSION, "FILE"),
 ]
 ROWS = [
@@ -67,6 +72,18 @@ ROWS = [
     (78, ("run", "nozenoh.toml", "--simulate", "--endpoint", "tcp/127.0.0.1:0"), "zenoh.config_file = nowhere.json5"),
     (78, ("setup", "new", "new.toml", "--answers", "missing.toml"), "cannot be read"),
     (78, ("setup", "new", "new.toml", "--answers", "broken.toml"), "not valid TOML"),
+    # What came with the package is nobody's to correct.
+    *(
+        (78, ("setup", *words), "omni4: is bundled and stays as it is; correct a copy of it: cp ")
+        for words in (
+            ("prepare", "omni4"),
+            ("directions", "omni4"),
+            ("reference", "omni4"),
+            ("tune", "omni4", "front_left"),
+            ("calibrate", "omni4"),
+            ("covariance", "omni4"),
+        )
+    ),
     # Nobody, nothing, no room.
     (69, ("send", "omni4", *NOBODY), "omni4 does not answer on tcp/127.0.0.1:1"),
     (69, ("watch", "omni4", *NOBODY, "--json"), "omni4 does not answer"),
@@ -77,7 +94,17 @@ ROWS = [
     (69, ("fault", "omni4", "clear", *NOBODY), "omni4 does not answer"),
     (69, ("reference", "moby", *NOBODY), "moby does not answer"),
     (69, ("path", str(ROBOTS.parent / "paths" / "omni4_square.toml"), "omni4", *NOBODY), "omni4 does not answer"),
-    (69, ("setup", "scan", "nocan0"), "No such device"),
+    (69, ("setup", "scan", "nocan0"), "socketcan nocan0: No such device"),
+    *(
+        (69, ("setup", *words), "socketcan nocan0: No such device")
+        for words in (
+            ("id", "nocan0", "c620"),
+            ("jog", "nocan.toml", "front_left"),
+            ("tune", "nocan.toml", "front_left"),
+            ("directions", "nocan.toml"),
+            ("prepare", "nocan.toml"),
+        )
+    ),
     (69, ("run", OMNI4, "--simulate", "--endpoint", "ADDRESS IN USE"), "Address already in use"),
     (69, ("run", OMNI4, "--simulate", "--out", "plain/x", "--endpoint", "tcp/127.0.0.1:0"), "Not a directory"),
     # A wrong option.
@@ -109,6 +136,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "binary.toml").write_bytes(bytes(range(128, 255)))
     (path / "wrong.toml").write_text("y = 1\n")
     (path / "plain").write_text("")
+    (path / "nocan.toml").write_text(robot_text("omni4").replace('channel = "can0"', 'channel = "nocan0"'))
     (path / "zenoh.json5").write_text("{ mode: 3 }")
     for name, file in (("zenoh", "zenoh.json5"), ("nozenoh", "nowhere.json5")):
         (path / f"{name}.toml").write_text(robot_text("omni4").replace("[zenoh]", f'[zenoh]\nconfig_file = "{file}"'))

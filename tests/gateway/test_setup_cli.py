@@ -95,9 +95,9 @@ def test_scan(stand: Callable[..., Stand]) -> None:
 
 
 def test_scan_of_what_is_not_there() -> None:
-    result = called("scan", "nonsense0")
-    assert result.exit_code == 69
-    assert "No such device" in result.output
+    result = called("scan", "nonsense0", "--json")
+    assert (result.exit_code, document(result)["ok"]) == (69, False)
+    assert "nonsense0: No such device" in result.stderr
 
 
 def test_a_conflict_is_an_exit_code(stand: Callable[..., Stand]) -> None:

@@ -116,6 +116,7 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
     with (
         patch.object(setup_jog, "CanBuses", lambda _config: Buses(bench, disturb)),
         patch.object(setup_jog, "turn", turned),
+        patch.object(setup_jog, "refuse_where_absent", lambda _place: None),
         patch.object(setup_directions, "listen", listen),
         patch.object(setup_scan, "listen", listen),
         patch.object(setup_id, "listen", asking),
