@@ -33,36 +33,49 @@ _VALUE = rf"(?P<value>{_QUOTED}|\[[^\]]*\]|\{{[^}}]*\}}|[^\s,;}}\]]+)"
 
 
 class _Rule(NamedTuple):
-    """The group `value` of the pattern goes. `sure`: it is a secret, and one elsewhere too."""
+    """The group `value` of the pattern goes, if it `is_one`. `sure`: it is a secret, and one elsewhere too.
+
+    No pattern takes much longer than in proportion to the text, whatever that is.
+    """
 
     pattern: re.Pattern[str]
     sure: bool
+    is_one: Callable[[str], bool]
 
 
-def _rule(pattern: str, flags: int = re.IGNORECASE, *, sure: bool = True) -> _Rule:
-    return _Rule(re.compile(pattern, flags), sure)
+def _rule(
+    pattern: str, flags: int = re.IGNORECASE, *, sure: bool = True, is_one: Callable[[str], bool] = bool
+) -> _Rule:
+    return _Rule(re.compile(pattern, flags), sure, is_one)
+
+
+def _is_mixed(word: str) -> bool:
+    """Small and capital letters and digits, as no name has and no hexadecimal number."""
+    return (
+        re.search("[a-z]", word) is not None
+        and re.search("[A-Z]", word) is not None
+        and re.search("\\d", word) is not None
+    )
 
 
 RULES = (
     # Keys and certificates, also those of which a log has only the end or the beginning.
     _rule(r"(?P<value>-----BEGIN [^-\n]+-----[\s\S]*?(?:-----END [^-\n]+-----|\Z))"),
-    _rule(r"\A(?P<value>(?:[^\n]*\n)?(?:[^\n]*[A-Za-z0-9+/=]{20,}\s*\n)+[^\n]*-----END [^-\n]+-----)"),
+    _rule(r"(?<![A-Za-z0-9+/=])(?P<value>(?:[A-Za-z0-9+/=]{1,100}[ \t\r]?\n){0,80}-----END [^-\n]+-----)"),
     # user:password@ of a URL (tcp://), and of an endpoint (tcp/).
     _rule(r"://(?P<value>[^\s\"'<>]*)@"),
     _rule(r"\b(?:tcp|udp|tls|quic|ws|unixsock-stream|serial|vsock)/(?P<value>[^\s\"'<>]*)@"),
     _rule(r"\b(?:bearer|basic)\s+(?P<value>[^\s\"',;]+)"),
     # name = value, name: value, --name value, and "the name is value".
-    _rule(rf"[\w.-]*{_SECRET}[\w.-]*[\"']?\s*[:=]\s*{_VALUE}"),
-    _rule(rf"--[\w-]*{_SECRET}[\w-]*\s+{_VALUE}"),
+    _rule(rf"{_SECRET}[\w.-]{{,40}}[\"']?\s{{,9}}[:=]\s{{,9}}{_VALUE}"),
+    _rule(rf"--[\w-]{{,40}}{_SECRET}[\w-]{{,40}}\s+{_VALUE}"),
     _rule(rf"\b(?:password|passphrase|passcode|secret|token)\s+(?:(?:is|was)\s+)?(?![=:]){_VALUE}", sure=False),
     # Tokens that are known by their look.
     _rule(r"\b(?P<value>(?:ghp|gho|ghs|ghr|glpat|xox[abprs]|sk|pk|rk)[-_][A-Za-z0-9_-]{10,}|github_pat_\w{10,})", 0),
     _rule(r"\b(?P<value>(?:AKIA|ASIA)[A-Z0-9]{16})\b", 0),
     _rule(r"\b(?P<value>eyJ[\w-]{5,}\.[\w-]+(?:\.[\w-]*)?)", 0),
     # Base64 of a key's length; a digest and a commit, which are hexadecimal, are none.
-    _rule(
-        r"(?P<value>(?=[A-Za-z0-9+/_-]*[a-z])(?=[A-Za-z0-9+/_-]*[A-Z])(?=[A-Za-z0-9+/_-]*\d)[A-Za-z0-9+/_-]{40,}=*)", 0
-    ),
+    _rule(r"(?P<value>[A-Za-z0-9+/_-]{40,}=*)", 0, is_one=_is_mixed),
     _rule(
         r"(?<![\w.+-])(?P<value>(?!drivegate|REDACTED)[\w.+-]+@[\w-]+(?:\.[\w-]+)*\.[a-z]{2,})"
     ),  # of mail; drivegate@moby.service is a unit
@@ -95,7 +108,7 @@ class Redaction:
     def text(self, text: str) -> str:
         """The text without what any rule finds."""
         for rule in RULES:
-            text = rule.pattern.sub(self._taken(sure=rule.sure), text)
+            text = rule.pattern.sub(self._taken(rule), text)
         self.name({match["name"] for match in _HOMES.finditer(text) if match["name"]}, SOMEBODY)
         for pattern in (_HOMES, *self._homes):
             text = pattern.sub(self._counted(HOME), text)
@@ -136,15 +149,15 @@ class Redaction:
             return [self.again_in(one) for one in value]
         return self.again(value) if isinstance(value, str) else value
 
-    def _taken(self, *, sure: bool) -> Callable[[re.Match[str]], str]:
+    def _taken(self, rule: _Rule) -> Callable[[re.Match[str]], str]:
         def instead(match: re.Match[str]) -> str:
             secret = match["value"]
             quote = next((mark for mark in ('"""', "'''", '"', "'") if secret.startswith(mark)), "")
             inner = secret[len(quote) : len(secret) - len(quote)] if quote and secret.endswith(quote) else secret
-            if not inner or inner.lower() in _PLAIN:
+            if inner.lower() in _PLAIN or not rule.is_one(inner):
                 return match[0]
             self.times += 1
-            if sure:
+            if rule.sure:
                 self._remember(inner)
             begin, end = match.start("value") - match.start(), match.end("value") - match.start()
             return f"{match[0][:begin]}{quote}{GONE}{quote}{match[0][end:]}"
