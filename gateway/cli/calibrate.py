@@ -80,7 +80,9 @@ def slip(  # noqa: PLR0917  # a command line: each parameter is an option with a
 
 def _same_robot(client: Client, config: RobotConfig, file: Path) -> None:
     if config_of(client) != config:
-        raise CalibrationError(f"the running robot was started with another robot file than {file}")
+        raise CalibrationError(
+            f"the running robot was started with another robot file than {file} is now: start it anew"
+        )
 
 
 def _ask(name: str, furthest: float) -> None:

@@ -156,7 +156,9 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
     plan = list(wanted.courses) * wanted.repeat
     with open_client(str(file), wanted.connect, zero_on_exit=True) as client:
         if config_of(client) != config:
-            raise CourseDriveError(f"the running robot was started with another robot file than {file}")
+            raise CourseDriveError(
+                f"the running robot was started with another robot file than {file} is now: start it anew"
+            )
         _check_told(client, truth=wanted.truth)
         names = ", ".join(name.value for name in wanted.courses)
         allow(

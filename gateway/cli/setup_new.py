@@ -3,8 +3,9 @@
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -12,22 +13,27 @@ from gateway.cli.asking import NotAllowedError, ask
 from gateway.cli.output import EXIT_CONFIG, complain, console, errors, print_json
 from gateway.config import document_of, read
 from gateway.core.examination import examined
-from gateway.setup.fields import AnswerError, Value
+from gateway.setup.fields import AnswerError, Field, Value
 from gateway.setup.interview import Question, robot_file
 
 EXIT_REFUSED = 1
+STAND_INS: Final = (1, 3, "robot")  # for what is missing: so it is told at once what else is
 
 
 class Asker:
-    """Answers from those given, else from a person, else the default; `left`: given and not asked for yet."""
+    """Answers from those given, else from a person, else the default.
+
+    `left`: given and not asked for yet. `missing`: what nobody answers, in words; then the answers are worth nothing.
+    """
 
     def __init__(self, given: Mapping[str, object], *, person: bool) -> None:
         self.left = dict(given)
         self.answers: dict[str, Value] = {}
+        self.missing: list[str] = []
         self._person = person
 
     def __call__(self, question: Question) -> Value:
-        """Raises AnswerError for an answer given that cannot be, or that nobody gives."""
+        """Raises AnswerError for an answer given that cannot be, or that nobody gives and others depend on."""
         self.answers[question.key] = self._answer(question)
         return self.answers[question.key]
 
@@ -37,12 +43,20 @@ class Asker:
             try:
                 return question.field.read(given) if isinstance(given, Typed) else question.field.value(given)
             except AnswerError as error:
-                raise AnswerError(f"{question.key}: {error}") from None
+                # Its range may come from what stands in for an answer that is missing.
+                raise AnswerError("\n".join(self.missing) or f"{question.key}: {error}") from None
         if self._person:
             return self._asked(question)
         if question.default is None:
-            raise AnswerError(f"{question.key}: missing: {question.words} It is {question.field.allowed}")
+            self.missing.append(f"{question.key}: missing: {question.words} It is {question.field.allowed}")
+            return self._stand_in(question.field)
         return question.default
+
+    def _stand_in(self, field: Field) -> Value:
+        for value in STAND_INS:
+            with suppress(AnswerError):
+                return field.value(value)
+        raise AnswerError("\n".join(self.missing))
 
     @staticmethod
     def _asked(question: Question) -> Value:
@@ -103,6 +117,8 @@ def _written(file: Path, asker: Asker) -> str:
     ):  # asked before a person answers, whose answers would be lost
         raise AnswerError(f"{file}: cannot be written: {file.parent} is no folder that is there and may be written to")
     text = robot_file(asker)
+    if asker.missing:
+        raise AnswerError("\n".join(asker.missing))
     if asker.left:
         raise AnswerError(f"{', '.join(asker.left)}: nobody asked for that; asked was {', '.join(asker.answers)}")
     with file.open("x", encoding="utf-8") as place:

@@ -185,6 +185,26 @@ def test_a_wrong_answer_is_said_with_what_is_allowed(tmp_path: Path, options: li
     assert not file.exists()
 
 
+def test_everything_that_is_missing_is_told_at_once(tmp_path: Path) -> None:
+    kinds = ["--set", "robot.kind=omni", "--set", "robot.name=ours", "--set", "motor.controller=odrive-0.6"]
+    result = called(tmp_path / "ours.toml", *kinds)
+    assert result.exit_code == 1
+    needed = ["robot.wheels", "robot.reach", "robot.radius", "robot.body.mass", *MOTOR]
+    assert [line.partition(":")[0] for line in result.stderr.splitlines()] == needed
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("chassis", CHASSIS)
+def test_what_stands_in_for_an_answer_never_gets_into_a_file(tmp_path: Path, chassis: str) -> None:
+    """Not even where it is one number alone."""
+    answers = answers_of(chassis, "c620")
+    for absent in CHASSIS[chassis]:
+        given = [word for key in answers if key != absent for word in ("--set", f"{key}={answers[key]}")]
+        result = called(tmp_path / "ours.toml", *given)
+        assert (result.exit_code, f"{absent}: missing" in result.stderr) == (1, True), result.output
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_answer_that_nobody_asked_for_is_a_mistake(tmp_path: Path) -> None:
     answers = {**answers_of("omni", "c620"), "motor.colour": "red"}
     options = [word for key, value in answers.items() for word in ("--set", f"{key}={value}")]
