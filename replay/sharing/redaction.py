@@ -59,14 +59,17 @@ RULES = (
     # name = value, name: value, --name value, and "the name is value".
     _rule(rf"{_SECRET}{_MORE}[\"']?(?:\s+is)?\s*[:=]+>?\s*{_VALUE}"),
     _rule(rf"(?<!-)--[\w-]{{0,40}}{_SECRET}{_MORE}\s+{_VALUE}"),
-    _rule(rf"(?<![a-z0-9])(?:password|passphrase|passcode|secret|token)\s+(?:(?:is|was)\s+)?(?![=:]){_VALUE}", sure=False),
+    _rule(
+        rf"(?<![a-z0-9])(?:password|passphrase|passcode|secret|token)\s+(?:(?:is|was)\s+)?(?![=:]){_VALUE}", sure=False
+    ),
     # Tokens that are known by their look.
     _rule(r"\b(?P<value>(?:ghp|gho|ghs|ghr|glpat|xox[abprs]|sk|pk|rk)[-_][A-Za-z0-9_-]{10,}|github_pat_\w{10,})", 0),
     _rule(r"\b(?P<value>(?:AKIA|ASIA)[A-Z0-9]{16})\b", 0),
     _rule(r"\b(?P<value>eyJ[\w-]{5,}\.[\w-]+(?:\.[\w-]*)?)", 0),
     # Base64 of a key's length; a digest and a commit, which are hexadecimal, are none.
     _rule(
-        r"(?<![A-Za-z0-9+/_-])(?P<value>(?=[A-Za-z0-9+/_-]*[a-z])(?=[A-Za-z0-9+/_-]*[A-Z])(?=[A-Za-z0-9+/_-]*\d)[A-Za-z0-9+/_-]{40,}=*)", 0
+        r"(?<![A-Za-z0-9+/_-])(?P<value>(?=[A-Za-z0-9+/_-]*[a-z])(?=[A-Za-z0-9+/_-]*[A-Z])(?=[A-Za-z0-9+/_-]*\d)[A-Za-z0-9+/_-]{40,}=*)",
+        0,
     ),
     _rule(
         r"(?<![\w.+-])(?P<value>(?!drivegate|REDACTED)[\w.+-]+@[\w-]+(?:\.[\w-]+)*\.[a-z]{2,})"

@@ -94,7 +94,9 @@ def test_what_is_no_secret_stays_as_it_is(text: str) -> None:
     assert redaction().text(text) == text
 
 
-@pytest.mark.parametrize("letters", ["a", "aA1", "-", "x.", "tcp/", "://", "secret", "aaaaaaaaaaaaaaaaaaaaaaaa ", " \n"])
+@pytest.mark.parametrize(
+    "letters", ["a", "aA1", "-", "x.", "tcp/", "://", "secret", "aaaaaaaaaaaaaaaaaaaaaaaa ", " \n"]
+)
 def test_a_line_of_any_length_is_read_in_steps_that_grow_as_it_does(letters: str) -> None:
     """Tried again at each of its own letters, this one would take most of an hour."""
     redaction().text(letters * (200_000 // len(letters)))
