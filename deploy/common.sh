@@ -16,6 +16,15 @@ die() {
     exit 1
 }
 
+# PREFIX as one path with what lies beside it (PREFIX.old), which units, scripts and sed take as it is.
+check_prefix() {
+    while [ "${PREFIX%/}" != "$PREFIX" ]; do PREFIX=${PREFIX%/}; done
+    case $PREFIX in /?*) ;; *) die "--prefix = $PREFIX: must be an absolute path" ;; esac
+    case $PREFIX in
+        *[!A-Za-z0-9/._+-]*) die "--prefix = $PREFIX: must be of letters, digits and / . _ + -" ;;
+    esac
+}
+
 # Live: systemd runs here and we install for it. In an image that is being built (DESTDIR, chroot) it does not.
 live() { [ -z "$DESTDIR" ] && [ -d /run/systemd/system ]; }
 

@@ -104,7 +104,8 @@ exchange() {
 # The environment that was there is kept, with the files that belong to it.
 swap_environment() {
     if [ -e "$root" ]; then
-        [ ! -e "$root.old" ] || mv "$root.old" "$root.older"
+        # Of one that was killed there may be such a directory, into which this one would be moved.
+        [ ! -e "$root.old" ] || { rm -rf "$root.older" && mv "$root.old" "$root.older"; }
         cp "$work/before.tar" "$root/files.tar"
         mv "$root.new" "$root.old"
         exchange "$root.old" "$root"

@@ -52,7 +52,7 @@ while [ $# -gt 0 ]; do
     esac
     shift
 done
-case $PREFIX in /?*) ;; *) die "--prefix = $PREFIX: must be an absolute path" ;; esac
+check_prefix
 root=$DESTDIR$PREFIX
 . "$here/environment.sh"
 

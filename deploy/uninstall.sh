@@ -16,6 +16,7 @@ while [ $# -gt 0 ]; do
     esac
     shift
 done
+check_prefix
 
 need_root
 refuse_while_moving

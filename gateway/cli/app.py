@@ -112,11 +112,11 @@ def _options(
 
 def main() -> None:
     """Entry point of the console script: errors of the user's making are words, not tracebacks."""
-    gc.disable()  # what is imported stays: to look for garbage in it takes a quarter of a short command
-    command = build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))
-    gc.freeze()
-    gc.enable()
     try:
+        gc.disable()  # what is imported stays: to look for garbage in it takes a quarter of a short command
+        command = build(next((word for word in sys.argv[1:] if not word.startswith("-")), None))
+        gc.freeze()
+        gc.enable()
         command()
     except UserError as error:
         _leave(error)

@@ -24,12 +24,17 @@ ANYBODY = frozenset(
 _PLAIN = frozenset({"true", "false", "none", "null", GONE.lower(), SOMEBODY, SOMEWHERE})
 
 _SECRET = (
-    r"(?:pass(?:w(?:or)?d|phrase|code)?s?|pwd|secret|token|credential|cookie|psk|usrpwd|authorization"
+    r"(?:pass(?:w(?:or)?[dt]|phrase|code)?s?|pwd|(?<![a-z0-9])pw(?![a-z0-9])|secret|token|credential|cookie|psk|usrpwd|authorization"
     r"|(?:api|private|access|secret|shared|session|host)[-_ ]?keys?|key_?(?:pem|base64)|pem|base64|certificate"
     r"|dictionary)"
 )
 _QUOTED = r"\"\"\"[\s\S]*?\"\"\"|'''[\s\S]*?'''|\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'"
-_VALUE = rf"(?P<value>{_QUOTED}|\[[^\]]*\]|\{{[^}}]*\}}|[^\s,;}}\]]+)"
+# Of a quote that nobody closes the rest of the line; a pass phrase has several words, none of which is another's name.
+_WORDS = rf"[^\s,;}}\]]+(?:[ \t]+(?!-|{GONE}|[\w.-]+[\"']?\s?[=:])[^\s,;}}\]\"']+)*"
+_VALUE = rf"(?P<value>{_QUOTED}|\[[^\]]*\]|\{{[^}}]*\}}|[\"'][^\n]*|{_WORDS})"
+# No repetition may be tried again at each of its own letters: a log has lines of any length.
+_MORE = r"[\w.-]{0,40}"
+_URL = r"[^\s\"'<>]{0,500}"
 
 
 class _Rule(NamedTuple):
@@ -54,7 +59,7 @@ def _is_mixed(word: str) -> bool:
     return (
         re.search("[a-z]", word) is not None
         and re.search("[A-Z]", word) is not None
-        and re.search("\\d", word) is not None
+        and re.search("[0-9]", word) is not None
     )
 
 
@@ -62,14 +67,17 @@ RULES = (
     # Keys and certificates, also those of which a log has only the end or the beginning.
     _rule(r"(?P<value>-----BEGIN [^-\n]+-----[\s\S]*?(?:-----END [^-\n]+-----|\Z))"),
     _rule(r"(?<![A-Za-z0-9+/=])(?P<value>(?:[A-Za-z0-9+/=]{1,100}[ \t\r]?\n){0,80}-----END [^-\n]+-----)"),
+    _rule(r"\A(?P<value>(?:[^\n]*\n)?(?:[^\n]*[A-Za-z0-9+/=]{20}[^\S\n]*\n)+[^\n]*-----END [^-\n]+-----)"),
     # user:password@ of a URL (tcp://), and of an endpoint (tcp/).
-    _rule(r"://(?P<value>[^\s\"'<>]*)@"),
-    _rule(r"\b(?:tcp|udp|tls|quic|ws|unixsock-stream|serial|vsock)/(?P<value>[^\s\"'<>]*)@"),
-    _rule(r"\b(?:bearer|basic)\s+(?P<value>[^\s\"',;]+)"),
+    _rule(rf"://(?P<value>{_URL})@"),
+    _rule(rf"\b(?:tcp|udp|tls|quic|quic-datagram|wss?|unixsock-stream|serial|vsock)\\?/(?P<value>{_URL})@"),
+    _rule(r"\b(?:bearer|basic|digest)\s+(?P<value>[^\s\"',;]+)"),
     # name = value, name: value, --name value, and "the name is value".
-    _rule(rf"{_SECRET}[\w.-]{{,40}}[\"']?\s{{,9}}[:=]\s{{,9}}{_VALUE}"),
-    _rule(rf"--[\w-]{{,40}}{_SECRET}[\w-]{{,40}}\s+{_VALUE}"),
-    _rule(rf"\b(?:password|passphrase|passcode|secret|token)\s+(?:(?:is|was)\s+)?(?![=:]){_VALUE}", sure=False),
+    _rule(rf"{_SECRET}{_MORE}[\"']?(?:\s+is)?\s*[:=]+>?\s*{_VALUE}"),
+    _rule(rf"(?<!-)--[\w-]{{0,40}}{_SECRET}{_MORE}\s+{_VALUE}"),
+    _rule(
+        rf"(?<![a-z0-9])(?:password|passphrase|passcode|secret|token)\s+(?:(?:is|was)\s+)?(?![=:]){_VALUE}", sure=False
+    ),
     # Tokens that are known by their look.
     _rule(r"\b(?P<value>(?:ghp|gho|ghs|ghr|glpat|xox[abprs]|sk|pk|rk)[-_][A-Za-z0-9_-]{10,}|github_pat_\w{10,})", 0),
     _rule(r"\b(?P<value>(?:AKIA|ASIA)[A-Z0-9]{16})\b", 0),

@@ -258,6 +258,9 @@ def test_two_robots_of_one_name(machine: Machine) -> None:
         (["--for", "client", "--enable", "moby"], "a client drives no robot"),
         (["--rollback"], "there is no environment before this one"),
         (["--prefix", "here"], "must be an absolute path"),
+        (["--prefix", "//"], "must be an absolute path"),
+        (["--prefix", "/opt/drive gate"], "must be of letters, digits"),
+        (["--prefix", "/opt/a|b"], "must be of letters, digits"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_changed(
@@ -490,6 +493,28 @@ def test_what_fails_in_the_middle_is_taken_back(bare: Machine, program: str, cal
         assert "for robot" in (bare.root / "opt/drivegate/.drivegate").read_text(encoding="utf-8")
     done = bare.install("--for", "desk", "--enable", "moby", FAIL_AT="0")
     assert done.code == 0, done.said
+
+
+def test_what_one_that_was_killed_left_mixes_with_nothing(bare: Machine) -> None:
+    """The environment for --rollback is the same after a failure, though an older one still lies beside it."""
+    for kind in ("robot", "desk"):
+        assert bare.install("--for", kind).code == 0
+    left = bare.root / "opt/drivegate.older"
+    left.mkdir()
+    (left / "left").touch()
+    done = bare.install("--for", "robot", **bare.fail_at("install", 1))
+    assert done.code == 1, done.said
+    assert bare.files(bare.root / "opt") == ["drivegate", "drivegate.old"]
+    assert "for robot" in (bare.root / "opt/drivegate.old/.drivegate").read_text(encoding="utf-8")
+
+
+def test_a_slash_at_the_end_of_the_prefix_changes_nothing(bare: Machine) -> None:
+    for kind in ("robot", "desk"):
+        done = bare.install("--prefix", "/opt/drivegate/", "--for", kind)
+        assert done.code == 0, done.said
+    assert bare.files(bare.root / "opt") == ["drivegate", "drivegate.old"]
+    assert bare.install("--prefix", "/opt/drivegate//", script="uninstall.sh").code == 0
+    assert not (bare.root / "opt/drivegate").exists()
 
 
 def test_taking_the_viewer_out_leaves_a_package_that_knows_its_files(tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ def test_of_a_running_robot(tmp_path: Path) -> None:
         there = members(tmp_path / "report.zip")
         state = json.loads(there["state.json"])
         assert state["mode"] in {"drive", "stopping", "idle"}
-        assert [one["name"] for one in state["settings"]] == ["speed_override"]
+        assert "speed_override" in {one["name"] for one in state["settings"]}
         assert there["robot.toml"].endswith(b"# another one\n")
         assert b"# another one" not in there["running-robot.toml"]
         robot.start()

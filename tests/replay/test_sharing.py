@@ -43,6 +43,16 @@ def redaction() -> Redaction:
         ('{"api_key": \'hunter2\', "rate": 5}', "hunter2", '{"api_key": \'REDACTED\', "rate": 5}'),
         ("wifi-passphrase: correct", "correct", "wifi-passphrase: REDACTED"),
         ("the password is hunter2, he said", "hunter2", "the password is REDACTED, he said"),
+        ("# wifi password: correct horse battery, 5 GHz", "horse", "# wifi password: REDACTED, 5 GHz"),
+        ("password: it's hunter2", "hunter2", "password: REDACTED"),
+        ('password = "cut off, hunter2', "hunter2", 'password = "REDACTED"'),
+        ("token=hunter2 user=joe", "hunter2", "token=REDACTED user=joe"),
+        ("password => hunter2", "hunter2", "password => REDACTED"),
+        ("Passwort: hunter2", "hunter2", "Passwort: REDACTED"),
+        ("pw: hunter2", "hunter2", "pw: REDACTED"),
+        ("wpa_passphrase hunter2", "hunter2", "wpa_passphrase REDACTED"),
+        ("wss/joe:hunter2@host", "hunter2", "wss/REDACTED@host"),
+        (r"tcp\/joe:hunter2@host", "hunter2", r"tcp\/REDACTED@host"),
         ("--api-key hunter2 --rate 5", "hunter2", "--api-key REDACTED --rate 5"),
         ("id AKIAIOSFODNN7EXAMPLE", "IOSFODNN7", "id REDACTED"),
         ("tokens = ['hunter2', 'b']", "hunter2", "tokens = REDACTED"),
@@ -82,6 +92,14 @@ def test_what_goes_and_what_stays(text: str, secret: str, left: str) -> None:
 )
 def test_what_is_no_secret_stays_as_it_is(text: str) -> None:
     assert redaction().text(text) == text
+
+
+@pytest.mark.parametrize(
+    "letters", ["a", "aA1", "-", "x.", "tcp/", "://", "secret", "aaaaaaaaaaaaaaaaaaaaaaaa ", " \n"]
+)
+def test_a_line_of_any_length_is_read_in_steps_that_grow_as_it_does(letters: str) -> None:
+    """Tried again at each of its own letters, this one would take most of an hour."""
+    redaction().text(letters * (200_000 // len(letters)))
 
 
 def test_a_secret_of_one_text_is_one_in_another() -> None:
