@@ -240,3 +240,12 @@ def test_answers_that_end_leave_the_file(stand: Callable[..., Stand]) -> None:
     result = called("directions", one.file, "--yes", "--json", answers="left b\n")
     assert (result.exit_code, document(result)["ok"]) == (1, False)
     assert one.file.read_text() == before
+
+
+@pytest.mark.parametrize("speed", ["-0.5", "0", "nan"])
+def test_directions_turn_forward_alone(stand: Callable[..., Stand], speed: str) -> None:
+    """What turned backward and was seen so would get the wrong sign."""
+    one = stand("kiwi")
+    result = called("directions", one.file, f"--speed={speed}", "--yes", "--json", answers="b\nb\nb\n")
+    assert (result.exit_code, "must be above 0" in str(document(result)["reason"])) == (1, True)
+    assert not one.moved
