@@ -10,7 +10,7 @@ from drivers.odrive import tables
 from drivers.odrive.endpoints import FlatEndpoints, Value, version_request
 from gateway.cli.asking import NotAllowedError, allow
 from gateway.cli.output import complain, errors
-from gateway.cli.rewriting import keep, rewrite
+from gateway.cli.rewriting import rewrite_keeping
 from gateway.cli.setup_jog import warning
 from gateway.config import Bus, Motor, RobotConfig, load
 from gateway.edges.can_bus import CanBuses
@@ -257,8 +257,7 @@ class Preparing:
         new = with_options(text, options, watchdog, str(file))
         if new == text or not _allowed(difference(text, new, str(file)), f"to write this into {file}", yes=yes):
             return None
-        kept = keep(file)
-        rewrite(file, new)
+        kept = rewrite_keeping(file, text, new)
         errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False, markup=False)
         given = [motor.name for motor in self.motors if motor.name in options and motor.watchdog is None]
         if given:
