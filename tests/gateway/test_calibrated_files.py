@@ -16,6 +16,7 @@ from gateway.setup.courses import (
     legs,
     read_courses,
     unmeasured,
+    with_course,
 )
 from gateway.types import CHOSEN_GROWTH
 from tests.setup_robots import TRUE
@@ -35,6 +36,19 @@ def test_courses_come_back_from_their_text() -> None:
     config = parse(TRUE["kiwi"](), "kiwi")
     assert read_courses(courses_text(COURSES), "courses.toml", config) == COURSES
     assert unmeasured(COURSES) == ["course.2 (left): nothing measured: give x, y (m) and turn (rad)"]
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_one_more_course_leaves_what_a_person_wrote(inline: bool) -> None:
+    config, more = parse(TRUE["kiwi"](), "kiwi"), Course(course=CourseName.RIGHT, begin=70, end=80, turn=0.1)
+    text = courses_text(COURSES).replace("x = 2.01", "x = 2.02  # measured twice\r")
+    expected = [COURSES.course[0].model_copy(update={"x": 2.02}), *COURSES.course[1:], more]
+    if inline:
+        text = 'robot = "kiwi"  # ours\ncourse = [ { course = "left", begin = 50, end = 60 } ]  # measured twice\r\n'
+        expected = [COURSES.course[2], more]
+    new = with_course(text, more)
+    assert read_courses(new, "courses.toml", config).course == expected
+    assert "# measured twice\r\n" in new
 
 
 @pytest.mark.parametrize(

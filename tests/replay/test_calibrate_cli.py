@@ -159,6 +159,23 @@ def test_where_courses_cannot_be_kept_nothing_is_driven(bench: Bench) -> None:
     assert f"{nowhere}: No such file or directory" in result.stderr
 
 
+def test_a_link_to_courses_that_are_still_to_come_stays(bench: Bench) -> None:
+    link = bench.file.with_name("link.toml")
+    link.symlink_to(bench.file.with_name("to_come.toml"))
+    nobody = ["--connect", "tcp/127.0.0.1:1", "--out", str(link), "--yes"]
+    assert CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), *nobody]).exit_code != 0
+    assert link.is_symlink()
+    assert not link.exists()
+
+
+def test_no_more_courses_are_driven_than_a_file_has(bench: Bench, driven: Courses) -> None:
+    many = driven.model_copy(update={"course": list(driven.course) * 125})
+    bench.courses.write_text(courses_text(many))
+    more = ["--out", str(bench.courses), "--repeat", "1", "--course", "forward", "--yes"]
+    result = CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), *more])
+    assert (result.exit_code, "more than 500" in result.stderr) == (1, True)
+
+
 def test_metres_taken_for_centimetres(bench: Bench, driven: Courses) -> None:
     far = [one.model_copy(update={"x": 100.0 * (one.x or 0.0), "y": 100.0 * (one.y or 0.0)}) for one in driven.course]
     bench.courses.write_text(courses_text(driven.model_copy(update={"course": far})))
