@@ -144,6 +144,26 @@ def test_what_is_not_the_vendors_file_is_refused(
     assert words in reason(result)
 
 
+@pytest.mark.parametrize(
+    ("path", "entry", "words"),
+    [(TIMEOUT, None, f"has no {TIMEOUT}"), (TIMEOUT, {"id": 189, "type": "uint8"}, "is no uint8")],
+    ids=["missing", "type"],
+)
+def test_endpoints_that_cannot_be(stand: Callable[..., Stand], path: str, entry: object, words: str) -> None:
+    one = stand("kiwi")
+    device = odrives(one)["front"]
+    set_wrong(device, FROM_THE_FACTORY)
+    every = device.flat_endpoints()["endpoints"]
+    assert isinstance(every, dict)
+    endpoints = {name: found for name, found in (every | {path: entry}).items() if found is not None}
+    before = one.file.read_text()
+    result = prepared(one, "front", "--endpoints", flat_file(one, endpoints=endpoints), "--yes")
+    assert (result.exit_code, words in reason(result)) == (1, True)
+    assert one.file.read_text() == before
+    device.power_cycle()
+    assert device.axis.parameters[ENABLE] == 0.0
+
+
 def test_one_that_does_not_answer_is_told_and_not_written(stand: Callable[..., Stand]) -> None:
     one = stand("kiwi")
     device = odrives(one)["front"]
