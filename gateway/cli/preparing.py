@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Final
 
 from drivers.contract import CanFrame
-from drivers.odrive import tables
 from drivers.odrive.endpoints import FlatEndpoints, Value, version_request
+from drivers.odrive.renaming import claim
 from gateway.cli.asking import NotAllowedError, allow
 from gateway.cli.output import complain, errors
 from gateway.cli.rewriting import rewrite_keeping
@@ -47,12 +47,11 @@ def to_ourselves(motors: Sequence[Motor], config: RobotConfig) -> Iterator[None]
     try:
         for bus in used:
             mine = [one.id for one in motors if one.bus == bus.name and _is_06(one)]
-            ids = [at << tables.NODE_SHIFT | tables.SET_AXIS_STATE for at in mine]
-            claims.append(Claims(bus.interface, bus.channel, ids))
+            claims.append(Claims(bus.interface, bus.channel, map(claim, mine)))
         yield
     finally:
-        for claim in claims:
-            claim.release()
+        for one in claims:
+            one.release()
 
 
 class Preparing:

@@ -10,7 +10,7 @@ from drivers.contract import CanFrame, Identity, RenamingOverCan
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.edges.can_adapter import AdapterError
-from gateway.edges.claims import refuse_where_commanded
+from gateway.edges.claims import Claims, refuse_where_commanded
 from gateway.edges.listening import Place, listen
 from gateway.setup.census import Census
 from gateway.setup.renaming import (
@@ -104,9 +104,13 @@ def _over_can(
 
 
 def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
-    """Raises RenamingError where it does not say so itself, before it is kept and after."""
-    _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
-    _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
+    """Raises RenamingError where it does not say so itself, before it is kept and after; InUseError."""
+    claims = Claims(place.interface, place.channel, [how.claim(at) for at in (one.id, to) if at is not None])
+    try:
+        _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
+        _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
+    finally:
+        claims.release()
 
 
 def _confirmed(
