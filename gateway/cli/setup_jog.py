@@ -35,8 +35,8 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
             f"{warning(config, motor)} {motor} will turn {abs(speed * seconds):.2f} rad: {way}.", "to turn it", yes=yes
         )
         outcome = run(config, procedure)
-    except (JogError, NotAllowedError) as error:
-        _refuse(str(error), json=json)
+    except (JogError, NotAllowedError, KeyboardInterrupt) as error:
+        _refuse("interrupted" if isinstance(error, KeyboardInterrupt) else str(error), json=json)
     if json:
         print_json(outcome._asdict() | {"ok": outcome.ending is Ending.TURNED, "ending": outcome.ending.value})
     else:

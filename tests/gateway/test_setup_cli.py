@@ -71,7 +71,7 @@ def called(*arguments: object, answers: str = "") -> Result:
 
 
 def document(result: Result) -> dict[str, object]:
-    found: dict[str, object] = json.loads(result.stdout.splitlines()[-1])
+    found: dict[str, object] = json.loads(result.stdout)
     return found
 
 
@@ -146,6 +146,17 @@ def test_a_gateway_on_the_bus_is_left_alone(stand: Callable[..., Stand], command
     result = called(command[0], *arguments)
     claims.release()
     assert type(result.exception).__name__ == "InUseError"
+    assert not one.moved
+
+
+def test_ctrl_c_at_the_question_is_told(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    one = stand("kiwi")
+    monkeypatch.setattr("gateway.cli.setup_jog.allow", interrupted)
+    result = called("jog", one.file, "front", "--json")
+    assert (result.exit_code, document(result)) == (1, {"ok": False, "reason": "interrupted"})
     assert not one.moved
 
 

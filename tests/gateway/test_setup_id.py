@@ -53,7 +53,7 @@ def called(
     with simulated(bench, Told(), disturb), stdin, redirect_stdout(out), suppress(typer.Exit):
         code = 1
         code = build("setup")(["setup", "id", channel, *arguments, "--json"], standalone_mode=False) or 0
-    return code, json.loads(out.getvalue().splitlines()[-1])
+    return code, json.loads(out.getvalue())
 
 
 def test_two_fresh_odrives_are_told_apart_and_keep_their_ids() -> None:

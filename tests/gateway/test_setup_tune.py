@@ -59,7 +59,7 @@ class Stand:
             suppress(typer.Exit),
         ):
             code = build("setup")(arguments, standalone_mode=False) or 0
-        return code, json.loads(out.getvalue().splitlines()[-1])
+        return code, json.loads(out.getvalue())
 
     @property
     def untouched(self) -> bool:

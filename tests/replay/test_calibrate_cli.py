@@ -64,7 +64,7 @@ class Bench:
 
 
 def document(result: Result) -> dict[str, object]:
-    found: dict[str, object] = json.loads(result.stdout.splitlines()[-1])
+    found: dict[str, object] = json.loads(result.stdout)
     return found
 
 
