@@ -164,7 +164,11 @@ class Preparing:
             self.look()
 
     def _put(self, motor: Motor, plan: Sequence[Setting]) -> None:
-        """Raises PrepareError where one reads back otherwise."""
+        """Raises PrepareError where one reads back otherwise, or somebody armed it since it was looked at."""
+        ear = Ear()
+        listen(self._place(motor), self._seconds, ear.take, going_on=lambda: not prepare_odrive.idle(ear, motor))
+        if not prepare_odrive.idle(ear, motor):
+            raise PrepareError(f"{motor.name}: not idle any more: nothing more is set")
         done = self._exchanged(motor, prepare_odrive.jobs(self._fits[motor.name], plan, write=True))
         for one in plan:
             read: Value | None = done.values.get(one.path)

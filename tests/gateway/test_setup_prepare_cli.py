@@ -197,6 +197,18 @@ def test_one_that_is_armed_is_left_alone(stand: Callable[..., Stand]) -> None:
     assert device.axis.parameters[ENABLE] == 0.0
 
 
+def test_one_that_is_armed_before_the_yes_is_left_alone(
+    stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = stand("kiwi")
+    device = odrives(one)["front"]
+    set_wrong(device, FROM_THE_FACTORY)
+    monkeypatch.setattr("gateway.cli.preparing.allow", lambda *_, **__: device.axis.request(8))
+    result = prepared(one, "front", "--endpoints", flat_file(one))
+    assert (result.exit_code, "front: not idle any more" in reason(result)) == (1, True)
+    assert device.axis.parameters[ENABLE] == 0.0
+
+
 def test_a_gateway_on_the_bus_is_left_alone(stand: Callable[..., Stand]) -> None:
     one = stand("kiwi")
     claims = Claims("virtual", one.channel, [0x7FF])
