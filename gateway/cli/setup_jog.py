@@ -12,7 +12,7 @@ from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import refuse_where_commanded
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
-from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
+from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Jog, JogError, Outcome
 from gateway.setup.words import positive_ways
 
 EXIT_REFUSED = 1
@@ -38,10 +38,10 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
     except (JogError, NotAllowedError, KeyboardInterrupt) as error:
         _refuse("interrupted" if isinstance(error, KeyboardInterrupt) else str(error), json=json)
     if json:
-        print_json(outcome._asdict() | {"ok": outcome.ending is Ending.TURNED, "ending": outcome.ending.value})
+        print_json(outcome._asdict() | {"ok": outcome.well, "ending": outcome.ending.value})
     else:
         console.print(words(outcome), markup=False, highlight=False)
-    if outcome.ending is not Ending.TURNED:
+    if not outcome.well:
         raise typer.Exit(EXIT_REFUSED)
 
 

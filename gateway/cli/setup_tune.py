@@ -81,7 +81,7 @@ def tune(
 def _tuned(config: RobotConfig, motor: str, procedure: Excitation) -> "Tuned":
     """Turns it, and what follows. Raises TuneError. Only here SciPy is imported: it takes a third of a second."""
     outcome = run(config, procedure)
-    if outcome.ending is not Ending.TURNED:
+    if not outcome.well:
         raise TuneError(words(outcome) + _ADVICE.get(outcome.ending, ""))
     module, response = import_module("replay.identify.tuning"), import_module("replay.identify.response")
     loop = next(one.speed_loop for one in config.motor if one.name == motor)

@@ -15,6 +15,7 @@ from gateway.cli import output
 from gateway.cli.app import build
 from gateway.config import RobotConfig, parse
 from gateway.edges.claims import Claims
+from gateway.setup.jog import Ending, Outcome
 from replay.sim.controllers.contract import STEP_NS
 from replay.sim.server import SimulationServer
 from tests.lifted import LiftedPlant
@@ -147,6 +148,15 @@ def test_a_gateway_on_the_bus_is_left_alone(stand: Callable[..., Stand], command
     claims.release()
     assert type(result.exception).__name__ == "InUseError"
     assert not one.moved
+
+
+def test_what_may_still_hold_is_not_well(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    held = Outcome("front", Ending.TURNED, "", 0.4, released=False)
+    monkeypatch.setattr("gateway.cli.setup_jog.run", lambda *_: held)
+    one = stand("kiwi")
+    result = called("jog", one.file, "front", "--yes", "--json")
+    assert (result.exit_code, document(result)["ok"]) == (1, False)
+    assert "cut its power" in called("jog", one.file, "front", "--yes").output
 
 
 def test_ctrl_c_at_the_question_is_told(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
