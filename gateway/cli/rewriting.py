@@ -54,27 +54,31 @@ def _put(file: Path, old: str, new: str) -> Iterator[None]:
 
 
 def _keep(file: Path, text: str) -> Path:
-    """A whole copy or none. Raises RewriteError."""
+    """The copy. Raises RewriteError."""
     place = file.resolve()
     number = 0
     while True:
         number += 1
         copy = place.with_name(f"{place.name}.before{number}")
         try:
-            new = copy.open("xb")
+            create(copy, text)
         except FileExistsError:
             continue
         except OSError as error:
             raise RewriteError(f"no copy of {file} can be kept: {error.strerror}") from None
-        try:
-            with new:
-                new.write(text.encode())
-                new.flush()
-                os.fsync(new.fileno())
-        except OSError as error:
-            copy.unlink()
-            raise RewriteError(f"no copy of {file} can be kept: {error.strerror}") from None
         return copy
+
+
+def create(file: Path, text: str) -> None:
+    """A new file, whole or not at all. Raises OSError, FileExistsError where there is one."""
+    with file.open("xb") as new:
+        try:
+            new.write(text.encode())
+            new.flush()
+            os.fsync(new.fileno())
+        except OSError:
+            file.unlink()
+            raise
 
 
 def _as_of(file: Path, new: int) -> None:

@@ -12,7 +12,7 @@ import typer
 from gateway.cli.asking import allow, ask
 from gateway.cli.operate import open_client
 from gateway.cli.output import complain, errors
-from gateway.cli.rewriting import drafted, rewrite, rewrite_keeping
+from gateway.cli.rewriting import create, drafted, rewrite, rewrite_keeping
 from gateway.client import Client
 from gateway.commander import config_of
 from gateway.config import ConfigError, RobotConfig, read
@@ -258,7 +258,7 @@ def _measured() -> tuple[float | None, ...]:
 def _keep(place: Path, config: RobotConfig, driven: Course) -> None:
     """Behind those that are in the file by now: somebody may have written into it what he measured."""
     if not place.exists():
-        place.write_text(courses_text(Courses(robot=config.robot.name, course=[driven])), encoding="utf-8")
+        create(place.resolve(), courses_text(Courses(robot=config.robot.name, course=[driven])))
         return
     text = read(place)
     read_courses(text, str(place), config)

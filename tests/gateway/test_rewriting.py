@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.correcting import correct
-from gateway.cli.rewriting import RewriteError, rewrite, rewrite_keeping
+from gateway.cli.rewriting import RewriteError, create, rewrite, rewrite_keeping
 from gateway.config import load
 from gateway.setup.correction import Change
 from tests.world import robot_text
@@ -58,6 +58,16 @@ def test_a_full_disk_leaves_nothing_half_written(file: Path, monkeypatch: pytest
         rewrite_keeping(file, text, "new")
     assert file.read_text() == text
     assert list(file.parent.iterdir()) == [file]
+
+
+def test_a_full_disk_leaves_no_half_of_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        create(tmp_path / "courses.toml", "new")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_link_stays_one(file: Path) -> None:
