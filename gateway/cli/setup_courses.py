@@ -174,7 +174,7 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
         for number, name in enumerate(plan, 1):
             errors.print(f"{number} of {len(plan)}: {name.value}", highlight=False)
             driven = _one(client, config, name, wanted)
-            _keep(place, config, driven)
+            keep_course(place, config, driven)
         last = driven.end + round(RECORDED_S * config.loop.rate)
         client.wait_for_state(lambda state: state.status.cycle >= last, 2.0 * RECORDED_S)
     return read_courses(read(place), str(place), config)
@@ -255,7 +255,7 @@ def _measured() -> tuple[float | None, ...]:
         complain(f"{answer!r}: must be lengths up to {FAR:g} m and a turn up to {TURNED:g} degrees, either way")
 
 
-def _keep(place: Path, config: RobotConfig, driven: Course) -> None:
+def keep_course(place: Path, config: RobotConfig, driven: Course) -> None:
     """Behind those that are in the file by now: somebody may have written into it what he measured."""
     if not place.exists():
         create(place.resolve(), courses_text(Courses(robot=config.robot.name, course=[driven])))
