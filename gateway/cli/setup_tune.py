@@ -2,7 +2,7 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.table import Table
@@ -27,6 +27,7 @@ _TOO_STRONG = (
     "; if its phases and its direction are right, speed_loop.kp of the robot file is too strong: a tenth of it"
 )
 _ADVICE = {Ending.STUCK: _TOO_WEAK, Ending.RUNAWAY: _TOO_STRONG}
+PICTURE: Final = ".png"
 
 
 class TuneError(RuntimeError):
@@ -48,6 +49,8 @@ def tune(
     """
     config, text = load(file)
     try:
+        if plot is not None and plot.suffix.lower() != PICTURE:
+            raise TuneError(f"--plot {plot}: must end in {PICTURE}, so that no other file becomes a picture")
         procedure = Excitation(config, motor)
         with drafted(file, text):
             pass  # so that nothing turns for nothing

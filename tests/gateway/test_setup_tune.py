@@ -189,6 +189,14 @@ def test_a_wheel_that_rubs_is_told(tmp_path: Path) -> None:
     assert stand.untouched
 
 
+def test_the_robot_file_does_not_become_a_picture(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, robot_text("omni4"))
+    code, found = stand.tunes("--yes", "--plot", str(stand.file))
+    assert (code, "must end in .png" in str(found["reason"])) == (1, True), found
+    assert stand.untouched
+    assert stand.bench.sent == []
+
+
 def test_one_that_may_still_hold_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = Outcome("front_left", Ending.TURNED, "", 2.0, released=False)
     monkeypatch.setattr("gateway.cli.setup_tune.run", lambda *_: held)
