@@ -246,7 +246,10 @@ class Preparing:
                 turn(buses, procedure, ending, period_ns=PERIOD_NS)
         finally:
             buses.close()
-        return procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
+        outcome = procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
+        if ending.by is not None and outcome.ok:  # asked when it was calibrated already
+            return outcome._replace(ok=False, reason=ending.by)
+        return outcome
 
     # -- the robot file -----------------------------------------------------------------------------------------------
 

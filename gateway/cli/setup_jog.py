@@ -12,7 +12,7 @@ from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import refuse_where_commanded
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
-from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Jog, JogError, Outcome
+from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
 from gateway.setup.words import positive_ways
 
 EXIT_REFUSED = 1
@@ -58,6 +58,8 @@ def run(config: RobotConfig, procedure: Jog) -> Outcome:
         buses.close()
     if procedure.outcome is None:
         raise ConfigError("setup", ["the jog has no outcome"])
+    if ending.by is not None and procedure.outcome.ending is Ending.TURNED:  # asked when it had turned already
+        return procedure.outcome._replace(ending=Ending.ASKED, reason=ending.by)
     return procedure.outcome
 
 

@@ -15,6 +15,7 @@ from gateway.cli import output
 from gateway.cli.app import build
 from gateway.config import RobotConfig, parse
 from gateway.edges.claims import Claims
+from gateway.edges.turning import turn
 from gateway.setup.jog import Ending, Outcome
 from replay.sim.controllers.contract import STEP_NS
 from replay.sim.server import SimulationServer
@@ -148,6 +149,21 @@ def test_a_gateway_on_the_bus_is_left_alone(stand: Callable[..., Stand], command
     claims.release()
     assert type(result.exception).__name__ == "InUseError"
     assert not one.moved
+
+
+def test_ctrl_c_at_the_very_end_is_heeded(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """No other motor turns, and nothing is written."""
+
+    def turned(*arguments: object, period_ns: int) -> None:
+        turn(*arguments, period_ns=period_ns)  # type: ignore[arg-type]
+        arguments[2].ask("signal 2")  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("gateway.cli.setup_jog.turn", turned)
+    one = stand("kiwi")
+    result = called("directions", one.file, "--yes", "--json", answers="b\nb\nb\n")
+    assert (result.exit_code, "signal 2" in str(document(result)["reason"])) == (1, True)
+    assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    assert one.file.read_text() == one.true
 
 
 def test_what_may_still_hold_is_not_well(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from typer.testing import Result
 
 from gateway.config import load
 from gateway.edges.claims import Claims
+from gateway.edges.turning import turn
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.vesc import SimulatedVesc
@@ -320,3 +321,22 @@ def test_a_calibration_needs_a_word_of_its_own(stand: Callable[..., Stand]) -> N
     assert one.plant.angles[1:] == (0.0, 0.0)
     device.power_cycle()
     assert all(device.axis.parameters[name] for name in CALIBRATED)
+
+
+def test_ctrl_c_late_in_a_calibration_is_heeded(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not saved, and no other motor turns."""
+
+    def turned(*arguments: object, period_ns: int) -> None:
+        turn(*arguments, period_ns=period_ns)  # type: ignore[arg-type]
+        arguments[2].ask("signal 2")  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("gateway.cli.preparing.turn", turned)
+    one = stand("kiwi")
+    for device in odrives(one).values():
+        set_wrong(device, dict.fromkeys(CALIBRATED, 0.0))
+    result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
+    assert (result.exit_code, "signal 2" in reason(result)) == (1, True)
+    assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    device = odrives(one)["front"]
+    device.power_cycle()
+    assert not device.axis.parameters[CALIBRATED[0]]
