@@ -162,13 +162,15 @@ class RenamingOverCan(NamedTuple):
     """How controllers get ids by their serial numbers; none of it moves a motor.
 
     `ask`: every controller on a bus who it is; `told`: what a frame says of that; `give`: on a bus the controller of a
-    serial number an id; `keep`: the one of an id keeps it, also after a power cut; it starts anew for that.
+    serial number an id; `keep`: the one of an id keeps it, also after a power cut; it starts anew for that. `claim`:
+    the identifier that whoever commands the one of an id holds.
     """
 
     ask: Callable[[str], list[CanFrame]]
     told: Callable[[CanFrame], Identity | None]
     give: Callable[[str, int, int], list[CanFrame]]
     keep: Callable[[str, int], list[CanFrame]]
+    claim: Callable[[int], int]
 
 
 class Renaming(NamedTuple):

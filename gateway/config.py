@@ -674,9 +674,9 @@ def load(path: Path) -> tuple[RobotConfig, str]:
 
 
 def read(path: Path) -> str:
-    """The text of a file that a person wrote. Raises ConfigError."""
+    """The text of a file that a person wrote, with its line ends. Raises ConfigError."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_bytes().decode()
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except UnicodeDecodeError as error:

@@ -47,7 +47,12 @@ def _keep(bus: str, node: int) -> list[CanFrame]:
     return [data_frame(bus, node << tables.NODE_SHIFT | tables.REBOOT, bytes([SAVE]))]
 
 
-OVER_CAN: Final = RenamingOverCan(_ask, _told, _give, _keep)
+def claim(node: int) -> int:
+    """The identifier that whoever commands this node holds."""
+    return node << tables.NODE_SHIFT | tables.SET_AXIS_STATE
+
+
+OVER_CAN: Final = RenamingOverCan(_ask, _told, _give, _keep, claim)
 
 
 def over_usb(node: int) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import typer
 from gateway import robot_files
 from gateway.cli.asking import allow
 from gateway.cli.output import errors
-from gateway.cli.rewriting import keep, rewrite
+from gateway.cli.rewriting import rewrite_keeping
 from gateway.setup.correction import Change, corrected, difference
 
 
@@ -32,7 +32,6 @@ def correct(file: Path, text: str, changes: Sequence[Change], *, yes: bool) -> P
         return None
     new = corrected(text, changes, str(file))
     allow(difference(text, new, str(file)), f"to write this into {file}", yes=yes)
-    kept = keep(file)
-    rewrite(file, new)
+    kept = rewrite_keeping(file, text, new)
     errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False)
     return kept

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Final
 
 from drivers.contract import CanFrame
-from drivers.odrive import tables
 from drivers.odrive.endpoints import FlatEndpoints, Value, version_request
+from drivers.odrive.renaming import claim
 from gateway.cli.asking import NotAllowedError, allow
 from gateway.cli.output import complain, errors
-from gateway.cli.rewriting import keep, rewrite
+from gateway.cli.rewriting import rewrite_keeping
 from gateway.cli.setup_jog import warning
 from gateway.config import Bus, Motor, RobotConfig, load
 from gateway.edges.can_bus import CanBuses
@@ -47,12 +47,11 @@ def to_ourselves(motors: Sequence[Motor], config: RobotConfig) -> Iterator[None]
     try:
         for bus in used:
             mine = [one.id for one in motors if one.bus == bus.name and _is_06(one)]
-            ids = [at << tables.NODE_SHIFT | tables.SET_AXIS_STATE for at in mine]
-            claims.append(Claims(bus.interface, bus.channel, ids))
+            claims.append(Claims(bus.interface, bus.channel, map(claim, mine)))
         yield
     finally:
-        for claim in claims:
-            claim.release()
+        for one in claims:
+            one.release()
 
 
 class Preparing:
@@ -165,7 +164,11 @@ class Preparing:
             self.look()
 
     def _put(self, motor: Motor, plan: Sequence[Setting]) -> None:
-        """Raises PrepareError where one reads back otherwise."""
+        """Raises PrepareError where one reads back otherwise, or somebody armed it since it was looked at."""
+        ear = Ear()
+        listen(self._place(motor), self._seconds, ear.take, going_on=lambda: not prepare_odrive.idle(ear, motor))
+        if not prepare_odrive.idle(ear, motor):
+            raise PrepareError(f"{motor.name}: not idle any more: nothing more is set")
         done = self._exchanged(motor, prepare_odrive.jobs(self._fits[motor.name], plan, write=True))
         for one in plan:
             read: Value | None = done.values.get(one.path)
@@ -243,7 +246,10 @@ class Preparing:
                 turn(buses, procedure, ending, period_ns=PERIOD_NS)
         finally:
             buses.close()
-        return procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
+        outcome = procedure.outcome or Outcome(ok=False, reason="it has no outcome", released=False)
+        if ending.by is not None and outcome.ok:  # asked when it was calibrated already
+            return outcome._replace(ok=False, reason=ending.by)
+        return outcome
 
     # -- the robot file -----------------------------------------------------------------------------------------------
 
@@ -257,8 +263,7 @@ class Preparing:
         new = with_options(text, options, watchdog, str(file))
         if new == text or not _allowed(difference(text, new, str(file)), f"to write this into {file}", yes=yes):
             return None
-        kept = keep(file)
-        rewrite(file, new)
+        kept = rewrite_keeping(file, text, new)
         errors.print(f"{file} is corrected; as it was before: {kept}", highlight=False, markup=False)
         given = [motor.name for motor in self.motors if motor.name in options and motor.watchdog is None]
         if given:

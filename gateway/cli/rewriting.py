@@ -31,28 +31,54 @@ def drafted(file: Path, text: str) -> Iterator[Path]:
         raise RewriteError(f"{file} cannot be written: {error.strerror}") from None
 
 
-def rewrite(file: Path, text: str) -> None:
-    """Put the text into the file. Raises RewriteError."""
-    with drafted(file, text) as draft:
+def rewrite(file: Path, old: str, new: str) -> None:
+    """Put the new text in place of the old one. Raises RewriteError, also where the file has another one by now."""
+    with _put(file, old, new):
+        pass
+
+
+def rewrite_keeping(file: Path, old: str, new: str) -> Path:
+    """The same; the old text is kept beside it, under a name that nobody has yet."""
+    with _put(file, old, new):
+        return _keep(file, old)
+
+
+@contextmanager
+def _put(file: Path, old: str, new: str) -> Iterator[None]:
+    """Put the new text into the file at the end."""
+    with drafted(file, new) as draft:
+        if file.read_bytes() != old.encode():
+            raise RewriteError(f"{file} was changed meanwhile, and that is not overwritten: run it again")
+        yield
         draft.replace(file.resolve())
 
 
-def keep(file: Path) -> Path:
-    """A copy of the file beside it, under a name that nobody has yet. Raises RewriteError."""
+def _keep(file: Path, text: str) -> Path:
+    """The copy. Raises RewriteError."""
     place = file.resolve()
     number = 0
     while True:
         number += 1
         copy = place.with_name(f"{place.name}.before{number}")
         try:
-            data = place.read_bytes()
-            with copy.open("xb") as new:
-                new.write(data)
+            create(copy, text)
         except FileExistsError:
             continue
         except OSError as error:
             raise RewriteError(f"no copy of {file} can be kept: {error.strerror}") from None
         return copy
+
+
+def create(file: Path, text: str) -> None:
+    """A new file, whole or not at all. Raises OSError, FileExistsError where there is one."""
+    with file.open("xb") as new:
+        try:
+            new.write(text.encode())
+            new.flush()
+            os.fsync(new.fileno())
+        except OSError:
+            file.unlink()
+            raise
 
 
 def _as_of(file: Path, new: int) -> None:

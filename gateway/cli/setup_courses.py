@@ -12,7 +12,7 @@ import typer
 from gateway.cli.asking import allow, ask
 from gateway.cli.operate import open_client
 from gateway.cli.output import complain, errors
-from gateway.cli.rewriting import drafted, keep, rewrite
+from gateway.cli.rewriting import create, drafted, rewrite, rewrite_keeping
 from gateway.client import Client
 from gateway.commander import config_of
 from gateway.config import ConfigError, RobotConfig, read
@@ -22,7 +22,9 @@ from gateway.edges.messages import TruthMessage
 from gateway.setup.correction import Entry, difference, with_entries
 from gateway.setup.courses import (
     LENGTH,
+    MOST,
     SPEED,
+    TURNS,
     Course,
     CourseError,
     CourseName,
@@ -31,6 +33,7 @@ from gateway.setup.courses import (
     legs,
     read_courses,
     unmeasured,
+    with_course,
 )
 
 if TYPE_CHECKING:
@@ -124,8 +127,7 @@ def write(file: Path, text: str, entries: Sequence[Entry], *, yes: bool) -> Path
     except ConfigError as error:
         raise CourseError(f"with what was found the robot could not be driven: {'; '.join(error.problems)}") from None
     allow(difference(text, new, str(file)), f"to write this into {file}", yes=yes)
-    kept = keep(file)
-    rewrite(file, new)
+    kept = rewrite_keeping(file, text, new)
     errors.print(f"{file} is corrected; as it was before: {kept}. It counts from the next start on", highlight=False)
     return kept
 
@@ -152,8 +154,10 @@ def _recorded(courses: Courses, session: Path | None, config: RobotConfig) -> "l
 
 def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Courses:
     """Each course, kept in the file as soon as it was driven and measured."""
-    before = read_courses(read(place), str(place), config) if place.exists() else None
+    before = read_courses(read(place), str(place), config).course if place.exists() else []
     plan = list(wanted.courses) * wanted.repeat
+    if len(before) + len(plan) > MOST:
+        raise CourseError(f"{place}: has {len(before)} courses; with {len(plan)} more they are more than {MOST}")
     with open_client(str(file), wanted.connect, zero_on_exit=True) as client:
         if config_of(client) != config:
             raise CourseDriveError(
@@ -163,27 +167,18 @@ def _drive(file: Path, config: RobotConfig, wanted: Wanted, place: Path) -> Cour
         names = ", ".join(name.value for name in wanted.courses)
         allow(
             f"{config.robot.name} will drive {len(plan)} courses from rest to rest ({names}), each up to "
-            f"{wanted.length:g} m along and to the side, at up to {SPEED:g} m/s. Clear the floor all around, and keep "
-            "the emergency stop at hand.",
+            f"{wanted.length:g} m along and to the side, or {TURNS:g} turns, at up to {SPEED:g} m/s. Clear the floor "
+            "all around, and keep the emergency stop at hand.",
             "to let it move",
             yes=wanted.yes,
         )
-        done = [] if before is None else list(before.course)
         for number, name in enumerate(plan, 1):
             errors.print(f"{number} of {len(plan)}: {name.value}", highlight=False)
-            done.append(_one(client, config, name, wanted))
-            courses = _with(before, config, done)
-            _keep(place, courses)
-        last = done[-1].end + round(RECORDED_S * config.loop.rate)
+            driven = _one(client, config, name, wanted)
+            keep_course(place, config, driven)
+        last = driven.end + round(RECORDED_S * config.loop.rate)
         client.wait_for_state(lambda state: state.status.cycle >= last, 2.0 * RECORDED_S)
-    return courses
-
-
-def _with(before: Courses | None, config: RobotConfig, courses: Sequence[Course]) -> Courses:
-    """Measured as well as those before, where there were some."""
-    if before is None:
-        return Courses(robot=config.robot.name, course=list(courses))
-    return before.model_copy(update={"course": list(courses)})
+    return read_courses(read(place), str(place), config)
 
 
 def _check_writable(place: Path) -> None:
@@ -192,7 +187,7 @@ def _check_writable(place: Path) -> None:
     with place.open("a", encoding="utf-8"):
         pass
     if new:
-        place.unlink()
+        place.resolve().unlink()  # a link to a file that is still to come stays
 
 
 def _check_told(client: Client, *, truth: bool) -> None:
@@ -261,9 +256,11 @@ def _measured() -> tuple[float | None, ...]:
         complain(f"{answer!r}: must be lengths up to {FAR:g} m and a turn up to {TURNED:g} degrees, either way")
 
 
-def _keep(place: Path, courses: Courses) -> None:
-    text = courses_text(courses)
-    if place.exists():
-        rewrite(place, text)
-    else:
-        place.write_text(text, encoding="utf-8")
+def keep_course(place: Path, config: RobotConfig, driven: Course) -> None:
+    """Behind those that are in the file by now: somebody may have written into it what he measured."""
+    if not place.exists():
+        create(place.resolve(), courses_text(Courses(robot=config.robot.name, course=[driven])))
+        return
+    text = read(place)
+    read_courses(text, str(place), config)
+    rewrite(place, text, with_course(text, driven))

@@ -72,7 +72,9 @@ def directions(  # noqa: PLR0917  # a command line: each parameter is an option 
 
 
 def _turning(config: RobotConfig, bus: Bus, *, speed: float, seconds: float, yes: bool) -> Directions:
-    """Every controller turns a little."""
+    """Every controller turns a little. Raises DirectionsError."""
+    if not speed > 0.0:
+        raise DirectionsError(f"speed = {speed:g}: must be above 0: it is asked what turned forward")
     refuse_where_commanded(bus.interface, bus.channel)
     found = _heard(config, bus)
     ways = positive_ways(config.robot)

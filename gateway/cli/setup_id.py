@@ -1,6 +1,7 @@
 """`drivegate setup id`: another id for a controller, by its serial number, or by hand while the bus is watched."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -11,7 +12,7 @@ from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.output import complain, console, errors, print_json
 from gateway.cli.setup_jog import EXIT_REFUSED, exit_code
 from gateway.edges.can_adapter import AdapterError
-from gateway.edges.claims import refuse_where_commanded
+from gateway.edges.claims import Claims, refuse_where_commanded
 from gateway.edges.listening import Place, listen
 from gateway.setup.census import Census
 from gateway.setup.renaming import (
@@ -32,6 +33,7 @@ RESTART_S = 1.5  # without a question: what is saved and started anew
 BEFORE_S = 3.0
 BY_HAND_S = 300.0
 PING_EVERY_S = 1.0
+Say = Callable[[str], None]  # to who called: on standard output, or beside it where that is for a program
 
 
 def id(  # noqa: PLR0917  # the command's name, and a command line: each parameter is an option with a name
@@ -48,14 +50,15 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
 
     All others are set by hand: it says how, watches the bus, and tells which id went and which one came.
     """
+    say = partial((errors if json else console).print, highlight=False)
     try:
         driver, variant, how = way(kind, to)
         refuse_where_commanded(interface, bus)
         place = Place(interface, bus, bitrate)
         if isinstance(how, RenamingOverCan):
-            document = _over_can(place, driver, how, to=to, serial=serial, yes=yes)
+            document = _over_can(place, driver, how, say=say, to=to, serial=serial, yes=yes)
         else:
-            document = _by_hand(place, driver, variant, how, to)
+            document = _by_hand(place, driver, variant, how, say=say, to=to)
     except (RenamingError, NotAllowedError, AdapterError, KeyboardInterrupt) as error:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
         if json:
@@ -72,7 +75,7 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
 
 
 def _over_can(
-    place: Place, driver: str, how: RenamingOverCan, *, to: int | None, serial: str | None, yes: bool
+    place: Place, driver: str, how: RenamingOverCan, *, say: Say, to: int | None, serial: str | None, yes: bool
 ) -> dict[str, object]:
     census, call = Census(), RollCall(how)
 
@@ -82,7 +85,7 @@ def _over_can(
 
     listen(place, ROLL_S, take, questions=_Again(lambda: how.ask(place.name)))
     for line in call.lines():
-        console.print(line, highlight=False)
+        say(line)
     for at in call.shared():
         errors.print(f"id {at} was given more than once: give one of them another id, by --serial", highlight=False)
     if to is None:
@@ -99,14 +102,18 @@ def _over_can(
     )
     refuse_where_commanded(place.interface, place.channel)  # somebody may have started one meanwhile
     _give(place, how, one, to)
-    console.print(f"serial {one.serial:012X} has id {to}, also after a restart", highlight=False)
+    say(f"serial {one.serial:012X} has id {to}, also after a restart")
     return {"ok": True, "serial": f"{one.serial:012X}", "from": one.id, "to": to}
 
 
 def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
-    """Raises RenamingError where it does not say so itself, before it is kept and after."""
-    _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
-    _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
+    """Raises RenamingError where it does not say so itself, before it is kept and after; InUseError."""
+    claims = Claims(place.interface, place.channel, [how.claim(at) for at in (one.id, to) if at is not None])
+    try:
+        _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
+        _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
+    finally:
+        claims.release()
 
 
 def _confirmed(
@@ -154,13 +161,13 @@ class _Again:
 
 
 def _by_hand(
-    place: Place, driver: str, variant: str, steps: Callable[[int], tuple[str, ...]], to: int | None
+    place: Place, driver: str, variant: str, steps: Callable[[int], tuple[str, ...]], *, say: Say, to: int | None
 ) -> dict[str, object]:
     watch = IdWatch(driver, variant)
     pings = lambda: DRIVERS[driver].questions(place.name, ())  # noqa: E731  # a question is one line
     listen(place, BEFORE_S, watch.take, questions=_Again(pings, every_s=PING_EVERY_S))
     before = sorted(watch.ids())
-    console.print(f"{variant}: heard {', '.join(f'id {at}' for at in before) or 'nobody'}", highlight=False)
+    say(f"{variant}: heard {', '.join(f'id {at}' for at in before) or 'nobody'}")
     if to is None:
         return {"ok": True, "ids": before}
     if to in before:
@@ -176,7 +183,7 @@ def _by_hand(
         raise RenamingError(f"no new id was heard within {BY_HAND_S:g} s")
     ok = came == (to,)
     words = f"id {_ids(went)} went, id {_ids(came)} came" if went else f"id {_ids(came)} came"
-    console.print(words if ok else f"{words}, not {to}: once more from the first step", highlight=False)
+    say(words if ok else f"{words}, not {to}: once more from the first step")
     return {"ok": ok, "came": list(came), "went": list(went), "to": to}
 
 

@@ -46,10 +46,10 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
         complain(reason)
         raise typer.Exit(exit_code(error)) from None
     if json:
-        print_json(outcome._asdict() | {"ok": outcome.ending is Ending.TURNED, "ending": outcome.ending.value})
+        print_json(outcome._asdict() | {"ok": outcome.well, "ending": outcome.ending.value})
     else:
         console.print(words(outcome), markup=False, highlight=False)
-    if outcome.ending is not Ending.TURNED:
+    if not outcome.well:
         raise typer.Exit(EXIT_REFUSED)
 
 
@@ -66,6 +66,8 @@ def run(config: RobotConfig, procedure: Jog) -> Outcome:
         buses.close()
     if procedure.outcome is None:
         raise ConfigError("setup", ["the jog has no outcome"])
+    if ending.by is not None and procedure.outcome.ending is Ending.TURNED:  # asked when it had turned already
+        return procedure.outcome._replace(ending=Ending.ASKED, reason=ending.by)
     return procedure.outcome
 
 

@@ -61,7 +61,7 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
             kept = work.correct(file, text, watchdog, yes=yes)
         if calibrate:
             work.calibrate(yes=yes)
-    except (PrepareError, AdapterError, RewriteError, CorrectionError, KeyboardInterrupt) as error:
+    except (PrepareError, EndpointError, AdapterError, RewriteError, CorrectionError, KeyboardInterrupt) as error:
         reason = INTERRUPTED if isinstance(error, KeyboardInterrupt) else str(error)
         if json:
             print_json({"ok": False, "reason": reason})

@@ -38,7 +38,7 @@ def reference(
     joints = steered(config)
     absolute = [motor for motor in joints if motor.encoder == "absolute"]
     for line in _words(config, joints):
-        console.print(line, highlight=False, markup=False)
+        (errors if json else console).print(line, highlight=False, markup=False)
     try:
         with drafted(file, text):
             pass  # so that nobody turns joints for nothing

@@ -2,7 +2,7 @@
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.table import Table
@@ -28,6 +28,7 @@ _TOO_STRONG = (
     "; if its phases and its direction are right, speed_loop.kp of the robot file is too strong: a tenth of it"
 )
 _ADVICE = {Ending.STUCK: _TOO_WEAK, Ending.RUNAWAY: _TOO_STRONG}
+PICTURE: Final = ".png"
 
 
 class TuneError(RuntimeError):
@@ -49,6 +50,8 @@ def tune(
     """
     config, text = load(file)
     try:
+        if plot is not None and plot.suffix.lower() != PICTURE:
+            raise TuneError(f"--plot {plot}: must end in {PICTURE}, so that no other file becomes a picture")
         procedure = Excitation(config, motor)
         look_for_bus(config, procedure.bus)
         with drafted(file, text):
@@ -83,7 +86,7 @@ def tune(
 def _tuned(config: RobotConfig, motor: str, procedure: Excitation) -> "Tuned":
     """Turns it, and what follows. Raises TuneError. Only here SciPy is imported: it takes a third of a second."""
     outcome = run(config, procedure)
-    if outcome.ending is not Ending.TURNED:
+    if not outcome.well:
         raise TuneError(words(outcome) + _ADVICE.get(outcome.ending, ""))
     module, response = import_module("replay.identify.tuning"), import_module("replay.identify.response")
     loop = next(one.speed_loop for one in config.motor if one.name == motor)

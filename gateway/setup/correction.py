@@ -106,7 +106,10 @@ def _put_options(motor: Any, options: Mapping[str, str | int], watchdog: float |
         motor["watchdog"] = _inline({"timeout": watchdog})
     if MOVED_FROM_WATCHDOG.keys() & motor["watchdog"].keys():
         motor["watchdog"] = _inline({"timeout": motor["watchdog"]["timeout"]})
-    motor["options"] = _inline({**motor.get("options", {}), **options})
+    if options.keys() <= motor.get("options", {}).keys():
+        motor["options"].update(options)  # with the comments that are there
+    else:
+        motor["options"] = _inline({**motor.get("options", {}), **options})
 
 
 def _inline(values: Mapping[str, str | int | float]) -> Any:  # noqa: ANN401  of tomlkit

@@ -8,10 +8,11 @@ turned how.
 from collections.abc import Mapping
 from enum import Enum
 from math import pi, tau
-from typing import Annotated, Final, NamedTuple, Self
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 import tomlkit
 from pydantic import Field, model_validator
+from tomlkit.items import AoT, Table
 
 from gateway.config import ConfigError, RobotConfig, parse_as
 from gateway.sections import Section, Unit
@@ -21,6 +22,7 @@ TAPE: Final = 0.003  # m, standard deviation of a length by tape
 ANGLE: Final = 0.005  # rad, of a direction marked and read: 5 mm beside a line of 1 m
 SPEED, TURN_SPEED = 0.3, 0.6  # m/s, rad/s: slow enough that no wheel slips
 LENGTH: Final = 2.0  # m
+MOST: Final = 500  # in a file
 TURNS: Final = 2.5  # not a whole number: after that the middle is back wherever it was that it turned about
 
 
@@ -120,7 +122,7 @@ class Courses(Section):
     robot: Annotated[str, Field(description="its name")]
     tape: Annotated[float, Field(ge=1e-5, le=0.1, description="to which lengths were measured"), Unit("m")] = TAPE
     angle: Annotated[float, Field(ge=1e-5, le=0.2, description="to which directions were"), Unit("rad")] = ANGLE
-    course: Annotated[list[Course], Field(min_length=1, max_length=500, description="a table for each")]
+    course: Annotated[list[Course], Field(min_length=1, max_length=MOST, description="a table for each")]
 
 
 def read_courses(text: str, origin: str, config: RobotConfig) -> Courses:
@@ -152,9 +154,25 @@ def courses_text(courses: Courses) -> str:
     document.add("angle", tomlkit.item(courses.angle).comment("rad, of a direction"))
     tables = tomlkit.aot()
     for course in courses.course:
-        tables.append(tomlkit.item(course.model_dump(mode="json", exclude_none=True)))
+        tables.append(_table(course))
     document.add("course", tables)
     return tomlkit.dumps(document)
+
+
+def with_course(text: str, course: Course) -> str:
+    """The text of a file of courses with one more, everything else as it was."""
+    document: Any = tomlkit.parse(text)
+    if isinstance(document["course"], AoT):
+        document["course"].append(_table(course))
+    else:
+        document["course"].append(course.model_dump(mode="json", exclude_none=True))
+    return tomlkit.dumps(document)
+
+
+def _table(course: Course) -> Table:
+    table = tomlkit.table()
+    table.update(course.model_dump(mode="json", exclude_none=True))
+    return table
 
 
 def geometry_courses(config: RobotConfig) -> tuple[CourseName, ...]:

@@ -99,6 +99,11 @@ class Outcome(NamedTuple):
     moved: float | None
     released: bool
 
+    @property
+    def well(self) -> bool:
+        """Whether it turned as it was told to, and is released."""
+        return self.ending is Ending.TURNED and self.released
+
 
 class _Objection(NamedTuple):
     ending: Ending

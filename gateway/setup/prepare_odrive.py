@@ -13,7 +13,7 @@ from math import isclose, tau
 from typing import Final, NamedTuple
 
 from drivers.odrive import tables
-from drivers.odrive.endpoints import Endpoint, FlatEndpoints, Value
+from drivers.odrive.endpoints import Endpoint, EndpointError, FlatEndpoints, Value
 from drivers.odrive.firmware import FIRMWARES, error_words, told_versions
 from drivers.odrive.tables import AxisState, Control
 from drivers.odrive.watchdog import OPTIONS, PROOF
@@ -257,10 +257,10 @@ def words(value: Value) -> str:
 
 
 def file_options(flat: FlatEndpoints) -> dict[str, str | int]:
-    """`options` of a motor whose endpoints are those of this file. Raises ValueError where it has none."""
+    """`options` of a motor whose endpoints are those of this file. Raises EndpointError where it has none."""
     missing = [path for path in (ENABLE, TIMEOUT) if path not in flat.endpoints]
     if missing:
-        raise ValueError(f"flat_endpoints.json of {flat.firmware} has no {', '.join(missing)}")
+        raise EndpointError(f"flat_endpoints.json of {flat.firmware} has no {', '.join(missing)}")
     enable, timeout = flat.endpoints[ENABLE].number, flat.endpoints[TIMEOUT].number
     return {
         "firmware": flat.firmware,

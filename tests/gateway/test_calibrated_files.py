@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.config import ConfigError, parse
-from gateway.setup.correction import CorrectionError, Entry, rounded, with_entries
+from gateway.setup.correction import CorrectionError, Entry, rounded, with_entries, with_options
 from gateway.setup.courses import (
     GEOMETRY,
     SPEED,
@@ -16,6 +16,7 @@ from gateway.setup.courses import (
     legs,
     read_courses,
     unmeasured,
+    with_course,
 )
 from gateway.types import CHOSEN_GROWTH
 from tests.setup_robots import TRUE
@@ -35,6 +36,19 @@ def test_courses_come_back_from_their_text() -> None:
     config = parse(TRUE["kiwi"](), "kiwi")
     assert read_courses(courses_text(COURSES), "courses.toml", config) == COURSES
     assert unmeasured(COURSES) == ["course.2 (left): nothing measured: give x, y (m) and turn (rad)"]
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_one_more_course_leaves_what_a_person_wrote(inline: bool) -> None:
+    config, more = parse(TRUE["kiwi"](), "kiwi"), Course(course=CourseName.RIGHT, begin=70, end=80, turn=0.1)
+    text = courses_text(COURSES).replace("x = 2.01", "x = 2.02  # measured twice\r")
+    expected = [COURSES.course[0].model_copy(update={"x": 2.02}), *COURSES.course[1:], more]
+    if inline:
+        text = 'robot = "kiwi"  # ours\ncourse = [ { course = "left", begin = 50, end = 60 } ]  # measured twice\r\n'
+        expected = [COURSES.course[2], more]
+    new = with_course(text, more)
+    assert read_courses(new, "courses.toml", config).course == expected
+    assert "# measured twice\r\n" in new
 
 
 @pytest.mark.parametrize(
@@ -114,6 +128,22 @@ def test_wheels_in_inline_tables_get_their_note_behind_all_of_them() -> None:
     new = with_entries(inline, [Entry(("robot", "wheel", 1, "radius"), 0.0512, "m, measured")], "kiwi")
     assert parse(new, "kiwi").robot.model_dump()["wheel"][1]["radius"] == 0.0512
     assert "] # m, measured" in new
+
+
+def test_options_in_a_table_of_their_own_keep_what_is_said_of_them() -> None:
+    text = robot_text("moby")
+    inline = 'options = { firmware = "0.6.10", watchdog_enable_endpoint = 188, '
+    assert inline in text
+    head, _, rest = text.partition(inline)
+    rest = rest.partition("\n")[2]
+    keys = ["firmware", "watchdog_enable_endpoint", "watchdog_timeout_endpoint", "endpoints_of"]
+    values = ['"0.6.10"', "188", "189", '"0.6.10 0.0.0"']
+    lines = [f"options.{key} = {value}  # by me" for key, value in zip(keys, values, strict=True)]
+    dotted = f"{head}{chr(10).join(lines)}\n{rest}"
+    options: dict[str, str | int] = {"watchdog_enable_endpoint": 1, "watchdog_timeout_endpoint": 2}
+    new = with_options(dotted, {"left": options}, None, "moby")
+    assert parse(new, "moby").motor[0].options == {"firmware": "0.6.10", **options, "endpoints_of": "0.6.10 0.0.0"}
+    assert new.count("# by me") == len(keys)
 
 
 def test_what_no_robot_can_have_is_not_written() -> None:

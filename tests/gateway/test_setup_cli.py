@@ -15,6 +15,8 @@ from gateway.cli import output
 from gateway.cli.app import build
 from gateway.config import RobotConfig, parse
 from gateway.edges.claims import Claims
+from gateway.edges.turning import turn
+from gateway.setup.jog import Ending, Outcome
 from replay.sim.controllers.contract import STEP_NS
 from replay.sim.server import SimulationServer
 from tests.lifted import LiftedPlant
@@ -71,7 +73,7 @@ def called(*arguments: object, answers: str = "") -> Result:
 
 
 def document(result: Result) -> dict[str, object]:
-    found: dict[str, object] = json.loads(result.stdout.splitlines()[-1])
+    found: dict[str, object] = json.loads(result.stdout)
     return found
 
 
@@ -146,6 +148,41 @@ def test_a_gateway_on_the_bus_is_left_alone(stand: Callable[..., Stand], command
     result = called(command[0], *arguments)
     claims.release()
     assert type(result.exception).__name__ == "InUseError"
+    assert not one.moved
+
+
+def test_ctrl_c_at_the_very_end_is_heeded(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """No other motor turns, and nothing is written."""
+
+    def turned(*arguments: object, period_ns: int) -> None:
+        turn(*arguments, period_ns=period_ns)  # type: ignore[arg-type]
+        arguments[2].ask("signal 2")  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("gateway.cli.setup_jog.turn", turned)
+    one = stand("kiwi")
+    result = called("directions", one.file, "--yes", "--json", answers="b\nb\nb\n")
+    assert (result.exit_code, "signal 2" in str(document(result)["reason"])) == (1, True)
+    assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    assert one.file.read_text() == one.true
+
+
+def test_what_may_still_hold_is_not_well(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    held = Outcome("front", Ending.TURNED, "", 0.4, released=False)
+    monkeypatch.setattr("gateway.cli.setup_jog.run", lambda *_: held)
+    one = stand("kiwi")
+    result = called("jog", one.file, "front", "--yes", "--json")
+    assert (result.exit_code, document(result)["ok"]) == (1, False)
+    assert "cut its power" in called("jog", one.file, "front", "--yes").output
+
+
+def test_ctrl_c_at_the_question_is_told(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    one = stand("kiwi")
+    monkeypatch.setattr("gateway.cli.setup_jog.allow", interrupted)
+    result = called("jog", one.file, "front", "--json")
+    assert (result.exit_code, document(result)) == (1, {"ok": False, "reason": "interrupted"})
     assert not one.moved
 
 
@@ -240,3 +277,12 @@ def test_answers_that_end_leave_the_file(stand: Callable[..., Stand]) -> None:
     result = called("directions", one.file, "--yes", "--json", answers="left b\n")
     assert (result.exit_code, document(result)["ok"]) == (1, False)
     assert one.file.read_text() == before
+
+
+@pytest.mark.parametrize("speed", ["-0.5", "0", "nan"])
+def test_directions_turn_forward_alone(stand: Callable[..., Stand], speed: str) -> None:
+    """What turned backward and was seen so would get the wrong sign."""
+    one = stand("kiwi")
+    result = called("directions", one.file, f"--speed={speed}", "--yes", "--json", answers="b\nb\nb\n")
+    assert (result.exit_code, "must be above 0" in str(document(result)["reason"])) == (1, True)
+    assert not one.moved

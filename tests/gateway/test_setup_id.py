@@ -53,7 +53,7 @@ def called(
     with simulated(bench, Told(), disturb), stdin, redirect_stdout(out), suppress(typer.Exit):
         code = 1
         code = build("setup")(["setup", "id", channel, *arguments, "--json"], standalone_mode=False) or 0
-    return code, json.loads(out.getvalue().splitlines()[-1])
+    return code, json.loads(out.getvalue())
 
 
 def test_two_fresh_odrives_are_told_apart_and_keep_their_ids() -> None:
@@ -148,6 +148,29 @@ def test_a_gateway_on_the_bus_is_left_alone() -> None:
         called(bench, "odrive-0.6", channel="held_id")
     claims.release()
     assert bench.sent == []
+
+
+def test_no_gateway_begins_while_an_id_is_given() -> None:
+    """It would drive what is then started anew."""
+    bench, _, _ = fresh()
+    free: dict[int, list[bool]] = {0x007: [], 0x0E7: []}
+
+    def begin(bench: Bench) -> None:
+        for identifier, found in free.items():
+            if not bench.sent or bench.sent[-1][1].remote:
+                continue
+            try:
+                Claims("socketcan", "renamed", [identifier]).release()
+                found.append(True)
+            except InUseError:
+                found.append(False)
+
+    code, _ = called(
+        bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", "--yes", disturb=begin, channel="renamed"
+    )
+    assert code == 0
+    assert {identifier: set(found) for identifier, found in free.items()} == {0x007: {False}, 0x0E7: {False}}
+    Claims("socketcan", "renamed", free).release()
 
 
 # -- by hand ----------------------------------------------------------------------------------------------------------

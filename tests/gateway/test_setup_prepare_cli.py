@@ -9,6 +9,7 @@ from typer.testing import Result
 
 from gateway.config import load
 from gateway.edges.claims import Claims
+from gateway.edges.turning import turn
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.vesc import SimulatedVesc
@@ -144,6 +145,26 @@ def test_what_is_not_the_vendors_file_is_refused(
     assert words in reason(result)
 
 
+@pytest.mark.parametrize(
+    ("path", "entry", "words"),
+    [(TIMEOUT, None, f"has no {TIMEOUT}"), (TIMEOUT, {"id": 189, "type": "uint8"}, "is no uint8")],
+    ids=["missing", "type"],
+)
+def test_endpoints_that_cannot_be(stand: Callable[..., Stand], path: str, entry: object, words: str) -> None:
+    one = stand("kiwi")
+    device = odrives(one)["front"]
+    set_wrong(device, FROM_THE_FACTORY)
+    every = device.flat_endpoints()["endpoints"]
+    assert isinstance(every, dict)
+    endpoints = {name: found for name, found in (every | {path: entry}).items() if found is not None}
+    before = one.file.read_text()
+    result = prepared(one, "front", "--endpoints", flat_file(one, endpoints=endpoints), "--yes")
+    assert (result.exit_code, words in reason(result)) == (1, True)
+    assert one.file.read_text() == before
+    device.power_cycle()
+    assert device.axis.parameters[ENABLE] == 0.0
+
+
 def test_one_that_does_not_answer_is_told_and_not_written(stand: Callable[..., Stand]) -> None:
     one = stand("kiwi")
     device = odrives(one)["front"]
@@ -174,6 +195,18 @@ def test_one_that_is_armed_is_left_alone(stand: Callable[..., Stand]) -> None:
     result = prepared(one, "front", "--endpoints", flat_file(one), "--yes")
     assert result.exit_code == 1
     assert "front: not idle" in reason(result)
+    assert device.axis.parameters[ENABLE] == 0.0
+
+
+def test_one_that_is_armed_before_the_yes_is_left_alone(
+    stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = stand("kiwi")
+    device = odrives(one)["front"]
+    set_wrong(device, FROM_THE_FACTORY)
+    monkeypatch.setattr("gateway.cli.preparing.allow", lambda *_, **__: device.axis.request(8))
+    result = prepared(one, "front", "--endpoints", flat_file(one))
+    assert (result.exit_code, "front: not idle any more" in reason(result)) == (1, True)
     assert device.axis.parameters[ENABLE] == 0.0
 
 
@@ -288,3 +321,22 @@ def test_a_calibration_needs_a_word_of_its_own(stand: Callable[..., Stand]) -> N
     assert one.plant.angles[1:] == (0.0, 0.0)
     device.power_cycle()
     assert all(device.axis.parameters[name] for name in CALIBRATED)
+
+
+def test_ctrl_c_late_in_a_calibration_is_heeded(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not saved, and no other motor turns."""
+
+    def turned(*arguments: object, period_ns: int) -> None:
+        turn(*arguments, period_ns=period_ns)  # type: ignore[arg-type]
+        arguments[2].ask("signal 2")  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("gateway.cli.preparing.turn", turned)
+    one = stand("kiwi")
+    for device in odrives(one).values():
+        set_wrong(device, dict.fromkeys(CALIBRATED, 0.0))
+    result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
+    assert (result.exit_code, "signal 2" in reason(result)) == (1, True)
+    assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    device = odrives(one)["front"]
+    device.power_cycle()
+    assert not device.axis.parameters[CALIBRATED[0]]

@@ -74,8 +74,8 @@ class Person:
         ):
             code = build("setup")(arguments, standalone_mode=False) or 0
         assert self.bench.sent == []
-        self.said = out.getvalue()
-        return code, json.loads(out.getvalue().splitlines()[-1])
+        self.said = err.getvalue()
+        return code, json.loads(out.getvalue())
 
 
 @pytest.mark.parametrize("zero", [0.7, -1.25])

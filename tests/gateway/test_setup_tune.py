@@ -21,7 +21,7 @@ from gateway.core.examination import examine_text
 from gateway.edges.claims import Claims, InUseError
 from gateway.setup.course import Course, stairs, trapezoid
 from gateway.setup.excitation import LOW, RISE, SECONDS, STEP, Excitation
-from gateway.setup.jog import FURTHEST, JogError
+from gateway.setup.jog import FURTHEST, Ending, JogError, Outcome
 from tests.gateway.test_jog import FAULTS
 from tests.gateway.test_setup_inputs import Terminal, Told, simulated
 from tests.jogging import Bench
@@ -59,7 +59,7 @@ class Stand:
             suppress(typer.Exit),
         ):
             code = build("setup")(arguments, standalone_mode=False) or 0
-        return code, json.loads(out.getvalue().splitlines()[-1])
+        return code, json.loads(out.getvalue())
 
     @property
     def untouched(self) -> bool:
@@ -186,6 +186,23 @@ def test_a_wheel_that_rubs_is_told(tmp_path: Path) -> None:
 
     code, found = stand.tunes("--yes", disturb=disturb)
     assert (code, "something rub" in str(found["reason"])) == (1, True), found
+    assert stand.untouched
+
+
+def test_the_robot_file_does_not_become_a_picture(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, robot_text("omni4"))
+    code, found = stand.tunes("--yes", "--plot", str(stand.file))
+    assert (code, "must end in .png" in str(found["reason"])) == (1, True), found
+    assert stand.untouched
+    assert stand.bench.sent == []
+
+
+def test_one_that_may_still_hold_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = Outcome("front_left", Ending.TURNED, "", 2.0, released=False)
+    monkeypatch.setattr("gateway.cli.setup_tune.run", lambda *_: held)
+    stand = Stand(tmp_path, robot_text("omni4"))
+    code, found = stand.tunes("--yes")
+    assert (code, "cut its power" in str(found["reason"])) == (1, True), found
     assert stand.untouched
 
 

@@ -11,11 +11,11 @@ from typer.testing import CliRunner, Result
 from gateway.chassis.offset_differential import OffsetDifferentialRobot
 from gateway.cli import output
 from gateway.cli.app import build
-from gateway.cli.setup_courses import write
+from gateway.cli.setup_courses import keep_course, write
 from gateway.cli.setup_covariance import words
 from gateway.config import ConfigError, load, parse
 from gateway.setup.correction import Entry
-from gateway.setup.courses import CourseError, CourseName, Courses, courses_text
+from gateway.setup.courses import CourseError, CourseName, Courses, courses_text, read_courses
 from replay.calibrate.likelihood import Consistency
 from replay.sim.plants import plant_of
 from tests.replay.measured_courses import drive_courses
@@ -64,7 +64,7 @@ class Bench:
 
 
 def document(result: Result) -> dict[str, object]:
-    found: dict[str, object] = json.loads(result.stdout.splitlines()[-1])
+    found: dict[str, object] = json.loads(result.stdout)
     return found
 
 
@@ -157,6 +157,35 @@ def test_where_courses_cannot_be_kept_nothing_is_driven(bench: Bench) -> None:
     result = CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), "--out", str(nowhere), "--yes"])
     assert result.exit_code == 1
     assert f"{nowhere}: No such file or directory" in result.stderr
+
+
+def test_a_link_to_courses_that_are_still_to_come_stays(bench: Bench) -> None:
+    link = bench.file.with_name("link.toml")
+    link.symlink_to(bench.file.with_name("to_come.toml"))
+    nobody = ["--connect", "tcp/127.0.0.1:1", "--out", str(link), "--yes"]
+    assert CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), *nobody]).exit_code != 0
+    assert link.is_symlink()
+    assert not link.exists()
+
+
+def test_a_course_is_added_to_what_was_written_meanwhile(tmp_path: Path, driven: Courses) -> None:
+    config, place = parse(TRUE["mobyish"](), "mobyish"), tmp_path / "courses.toml"
+    first, second = driven.course[:2]
+    keep_course(place, config, first)
+    place.write_text(place.read_text().replace("tape = 0.003", "tape = 0.001  # with a laser;"))
+    keep_course(place, config, second)
+    assert read_courses(place.read_text(), "courses", config) == Courses(
+        robot=driven.robot, tape=0.001, course=[first, second]
+    )
+    assert "# with a laser;" in place.read_text()
+
+
+def test_no_more_courses_are_driven_than_a_file_has(bench: Bench, driven: Courses) -> None:
+    many = driven.model_copy(update={"course": list(driven.course) * 125})
+    bench.courses.write_text(courses_text(many))
+    more = ["--out", str(bench.courses), "--repeat", "1", "--course", "forward", "--yes"]
+    result = CliRunner().invoke(build("setup"), ["setup", "calibrate", str(bench.file), *more])
+    assert (result.exit_code, "more than 500" in result.stderr) == (1, True)
 
 
 def test_metres_taken_for_centimetres(bench: Bench, driven: Courses) -> None:
