@@ -52,6 +52,10 @@ def identify(  # noqa: PLR0917  # a command line: each parameter is an option wi
     --json: robot, kind, session, plant, found (each value, low, high, unit), not_found (each value, reason), residuals
     and torques (N m rms by motor), seconds, moments; and likeness, slipping, abrupt, problem.
     """
+    if plot is not None and plot.suffix.lower() != ".png":
+        raise typer.BadParameter(
+            f"{plot}: must end in .png, so that no other file becomes a picture", param_hint="--plot"
+        )
     parameters = import_module("replay.identify.parameters")
     try:
         opened = open_session(session)

@@ -18,7 +18,8 @@ def set(  # the command's name
 ) -> None:
     """Change a setting of a running robot; `drivegate watch NAME --json` shows them all, with their ranges.
 
-    No setting makes a stop weaker, and a restart goes back to the robot file.
+    No setting makes a stop weaker (but a commanded zero brakes on the `friction` that is said), and a restart goes back
+    to the robot file.
     """
     try:
         encode_setting(setting, 0.0)  # a wrong name before a wrong value: it may be a text that no setting takes

@@ -2,7 +2,8 @@
 
 A setting is asked for by a request, which is recorded and replayed as every input is. None may move a robot by itself:
 whoever reads one applies it through the limits, and only to what a command asks for. None makes a stop weaker: those of
-speed are less than the robot file's, and those of acceleration and jerk hold for speeding up alone.
+speed are less than the robot file's, and those of acceleration and jerk hold for speeding up alone. What the floor is
+taken for (`GROUND_FRICTION`) is what a commanded zero brakes on; braking of the core itself never asks it.
 """
 
 from collections.abc import Mapping

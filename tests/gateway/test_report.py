@@ -15,6 +15,7 @@ from gateway import robot_files
 from gateway.cli import report_parts
 from gateway.cli.report import _Archive
 from gateway.cli.report_parts import MissingError, Source, bounded, newest_incidents, source
+from gateway.core.settings import LIMITING
 from gateway.recording.bundle import kept
 from replay.compare.verify import verify
 from replay.sessions.reader import open_session
@@ -187,7 +188,7 @@ def test_of_a_running_robot(tmp_path: Path) -> None:
         there = members(tmp_path / "report.zip")
         state = json.loads(there["state.json"])
         assert state["mode"] in {"drive", "stopping", "idle"}
-        assert "speed_override" in {one["name"] for one in state["settings"]}
+        assert [one["name"] for one in state["settings"]] == list(LIMITING)
         assert there["robot.toml"].endswith(b"# another one\n")
         assert b"# another one" not in there["running-robot.toml"]
         robot.start()

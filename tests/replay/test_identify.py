@@ -259,6 +259,15 @@ def test_mujocos_omni_robot(heavy: Mapping[str, float], tmp_path: Path) -> None:
 # the command
 
 
+def test_no_other_file_becomes_a_picture(omni: Driven, tmp_path: Path) -> None:
+    robot_file = tmp_path / "robot.toml"
+    robot_file.write_text("mine")
+    done = run(omni.path, "--plot", robot_file)
+    assert done.exit_code == 2
+    assert "must end in .png" in done.output
+    assert robot_file.read_text() == "mine"
+
+
 def test_the_command_tells_it(omni: Driven, tmp_path: Path) -> None:
     out, plot = tmp_path / "found.json", tmp_path / "fit.png"
     done = run(omni.path, "--out", out, "--plot", plot)
