@@ -16,7 +16,7 @@ from gateway.errors import UserError
 from gateway.teleop.pad import (
     Axis,
     Device,
-    Event,
+    InputEvent,
     Pad,
     is_pad,
     layout_of,
@@ -69,7 +69,7 @@ class Gamepad:
             return False
         except OSError as error:
             raise self._gone(error) from None
-        events = (Event(kind, code, value) for *_, kind, code, value in _EVENT.iter_unpack(told))
+        events = (InputEvent(kind, code, value) for *_, kind, code, value in _EVENT.iter_unpack(told))
         urgent = self.pad.hear(events, now)
         if self.pad.lost:
             self.pad.catch_up(self._axes())

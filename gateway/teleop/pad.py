@@ -33,7 +33,7 @@ AXIS_NAMES = {0: "X", 1: "Y", 2: "Z", 3: "RX", 4: "RY", 5: "RZ", 9: "GAS", 10: "
 SILENT_S = 2.0  # with a stick out: chosen; a thumb is never that still, and a pad out of reach keeps its last word
 
 
-class Event(NamedTuple):
+class InputEvent(NamedTuple):
     """One of the kernel's `struct input_event`."""
 
     kind: int
@@ -173,7 +173,7 @@ class Pad:
     _faster: int = 0
     _heard: float = 0.0
 
-    def hear(self, events: Iterable[Event], now: float) -> bool:
+    def hear(self, events: Iterable[InputEvent], now: float) -> bool:
         """Takes in what happened; whether it should be sent at once, and not at the next command."""
         before = self._press
         for event in events:
@@ -204,7 +204,7 @@ class Pad:
         turning = self._shaped(abs(turn), Stick.TURN, (self.layout.turn,))
         return Twist(0.0 - share * y, 0.0 - share * x, 0.0 - turning if turn > 0.0 else turning)
 
-    def _hear(self, event: Event) -> None:
+    def _hear(self, event: InputEvent) -> None:
         kind, code, value = event
         if self.lost or (kind == EV_SYN and code == SYN_DROPPED):
             self.lost = True

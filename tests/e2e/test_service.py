@@ -149,7 +149,7 @@ def test_commands_for_scripts(tmp_path: Path, free_port: int) -> None:
         assert json.loads(stopped.stdout)["ok"] is True
         assert "estop" in drivegate("watch", "omni4", "--once").stdout
         watched = json.loads(drivegate("watch", "omni4", "--json").stdout.splitlines()[-1])
-        assert [(one["name"], one["value"]) for one in watched["settings"]] == [("speed_override", 0.5)]
+        assert {one["name"]: one["value"] for one in watched["settings"]}["speed_override"] == 0.5
         assert (watched["mode"], [source["name"] for source in watched["sources"]]) == ("estop", ["teleop", "autonomy"])
         latched = drivegate("send", "omni4", "--vx", "0.3")
         assert latched.returncode == 1

@@ -63,6 +63,9 @@ class FourAxes(Section):
     def trailing(self) -> None:
         pass
 
+    def doubts(self) -> tuple[str, ...]:
+        return ()
+
     def channels(self) -> tuple[ChassisChannels, ...]:
         return ()
 

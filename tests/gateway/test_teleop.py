@@ -16,7 +16,7 @@ from gateway.teleop.pad import (
     SILENT_S,
     Axis,
     Device,
-    Event,
+    InputEvent,
     Layout,
     Pad,
     is_pad,
@@ -238,10 +238,10 @@ def test_a_range_that_is_none_is_told() -> None:
 
 LAYOUT = LAYOUTS[2].layout  # Xbox
 X, Y, TURN = codes.ABS_X, codes.ABS_Y, LAYOUT.turn
-SYN = Event(codes.EV_SYN, 0, 0)
-DROPPED = Event(codes.EV_SYN, codes.SYN_DROPPED, 0)
-PRESS, RELEASE = (Event(codes.EV_KEY, LAYOUT.deadman, value) for value in (1, 0))
-STOP = Event(codes.EV_KEY, LAYOUT.stop, 1)
+SYN = InputEvent(codes.EV_SYN, 0, 0)
+DROPPED = InputEvent(codes.EV_SYN, codes.SYN_DROPPED, 0)
+PRESS, RELEASE = (InputEvent(codes.EV_KEY, LAYOUT.deadman, value) for value in (1, 0))
+STOP = InputEvent(codes.EV_KEY, LAYOUT.stop, 1)
 
 
 def axes(flat: int = 128, **values: int) -> dict[int, Axis]:
@@ -253,8 +253,8 @@ def pad(found: Mapping[int, Axis] | None = None, layout: Layout = LAYOUT) -> Pad
     return Pad(layout, dict(found or axes()))
 
 
-def stick(code: int, value: int) -> Event:
-    return Event(codes.EV_ABS, code, value)
+def stick(code: int, value: int) -> InputEvent:
+    return InputEvent(codes.EV_ABS, code, value)
 
 
 @pytest.mark.parametrize(
@@ -272,7 +272,7 @@ def stick(code: int, value: int) -> Event:
         (stick(X, 3000), ZERO_TWIST),  # within the zone of rest
     ],
 )
-def test_sticks_go_where_people_expect(event: Event, direction: Twist) -> None:
+def test_sticks_go_where_people_expect(event: InputEvent, direction: Twist) -> None:
     found = pad()
     found.hear([event], 0.0)
     assert found.direction == pytest.approx(direction, abs=1e-4)
@@ -320,7 +320,7 @@ def test_pressed_with_a_stick_out_it_does_not_count() -> None:
 
 def test_a_stop_is_asked_for_once_and_at_once() -> None:
     found = pad()
-    assert found.hear([STOP, Event(codes.EV_KEY, LAYOUT.stop, 0)], 0.0)
+    assert found.hear([STOP, InputEvent(codes.EV_KEY, LAYOUT.stop, 0)], 0.0)
     assert found.wish(0.0).stop
     assert not found.wish(0.1).stop
 
@@ -358,12 +358,12 @@ def test_behind_lost_events_the_deadman_wants_another_press_and_the_sticks_are_a
         (stick(codes.ABS_HAT0Y, -1), 1),
         (stick(codes.ABS_HAT0Y, 1), -1),
         (stick(codes.ABS_HAT0Y, 0), 0),
-        (Event(codes.EV_KEY, codes.BTN_DPAD_UP, 1), 1),
-        (Event(codes.EV_KEY, codes.BTN_DPAD_DOWN, 1), -1),
-        (Event(codes.EV_KEY, codes.BTN_DPAD_UP, 0), 0),
+        (InputEvent(codes.EV_KEY, codes.BTN_DPAD_UP, 1), 1),
+        (InputEvent(codes.EV_KEY, codes.BTN_DPAD_DOWN, 1), -1),
+        (InputEvent(codes.EV_KEY, codes.BTN_DPAD_UP, 0), 0),
     ],
 )
-def test_the_cross_sets_the_scale_as_axis_or_as_buttons(event: Event, faster: int) -> None:
+def test_the_cross_sets_the_scale_as_axis_or_as_buttons(event: InputEvent, faster: int) -> None:
     found = pad()
     found.hear([event, event], 0.0)
     assert found.wish(0.0).faster == 2 * faster
@@ -373,12 +373,16 @@ def test_the_cross_sets_the_scale_as_axis_or_as_buttons(event: Event, faster: in
 @pytest.mark.parametrize(
     "event",
     [
-        *(Event(codes.EV_KEY, X, 32767), Event(codes.EV_ABS, LAYOUT.stop, 1), Event(codes.EV_ABS, LAYOUT.deadman, 1)),
-        *(Event(4, X, 32767), Event(4, LAYOUT.stop, 1), Event(4, LAYOUT.deadman, 1)),  # of kind EV_MSC
-        *(Event(codes.EV_KEY, LAYOUT.stop, 0), Event(codes.EV_KEY, LAYOUT.deadman, 2), SYN),
+        *(
+            InputEvent(codes.EV_KEY, X, 32767),
+            InputEvent(codes.EV_ABS, LAYOUT.stop, 1),
+            InputEvent(codes.EV_ABS, LAYOUT.deadman, 1),
+        ),
+        *(InputEvent(4, X, 32767), InputEvent(4, LAYOUT.stop, 1), InputEvent(4, LAYOUT.deadman, 1)),  # of kind EV_MSC
+        *(InputEvent(codes.EV_KEY, LAYOUT.stop, 0), InputEvent(codes.EV_KEY, LAYOUT.deadman, 2), SYN),
     ],
 )
-def test_what_is_neither_stick_nor_button_is_nothing(event: Event) -> None:
+def test_what_is_neither_stick_nor_button_is_nothing(event: InputEvent) -> None:
     found = pad()
     assert not found.hear([event], 0.0)
     assert found.wish(0.0) == Wish()
@@ -411,7 +415,7 @@ def test_codes_are_those_of_another_library() -> None:
 
 
 class Look(NamedTuple):
-    events: list[Event]
+    events: list[InputEvent]
     step: float
     ready: bool
 
@@ -419,7 +423,7 @@ class Look(NamedTuple):
 EVENTS = st.one_of(
     st.sampled_from([PRESS, PRESS, RELEASE, STOP, SYN, DROPPED, stick(codes.ABS_HAT0Y, -1), stick(codes.ABS_HAT0Y, 1)]),
     st.builds(stick, st.sampled_from([X, Y, TURN]), st.sampled_from([0, 0, -32768, 32767, 9000])),
-    st.builds(Event, st.integers(0, 0x1F), st.integers(0, 0x2FF), st.integers(-(2**31), 2**31 - 1)),
+    st.builds(InputEvent, st.integers(0, 0x1F), st.integers(0, 0x2FF), st.integers(-(2**31), 2**31 - 1)),
 )
 LOOKS = st.lists(
     st.builds(
