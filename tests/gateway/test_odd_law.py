@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from gateway.config import ConfigError, parse
 from gateway.control.drive_law import Measured, SpeedLaw
 from gateway.control.odd_law import OddLaw, Yields
+from gateway.control.steering import Steering, SteeringGains
 from gateway.core.channels import layout_of
 from gateway.core.engine import Engine
 from gateway.kinematics.contract import Estimate
 from gateway.kinematics.odd import OddGeometry, OddKinematics
-from gateway.types import ZERO_TWIST, Mode, Rates, Region, Twist, TwistCommand, TwistFrame
+from gateway.types import ZERO_TWIST, Attitude, Mode, Rates, Region, Twist, TwistCommand, TwistFrame
 from replay.drive.closed_loop import ClosedLoop
 from replay.sim.plants.odd import OddPlant
 from tests.gateway.test_engine_rules import Stand
@@ -35,7 +36,9 @@ def unsensed(text: str) -> str:
     return text.replace("width_sensor = 0", "# width_sensor = 0")
 
 
-def law(yields: Yields = Yields.ALL, *, width: float = 0.4, place: int | None = None) -> OddLaw:
+def law(
+    yields: Yields = Yields.ALL, *, width: float = 0.4, place: int | None = None, steering: Steering | None = None
+) -> OddLaw:
     """Wheels of 0.05 m, from 0.2 to 0.6 m, 0.4 m/s^2 of width."""
     geometry = OddGeometry((pi / 4, -pi / 4, pi / 4, -pi / 4), radius=0.05, spacing=0.1, narrowest=0.2, widest=0.6)
     kinematics = OddKinematics(geometry, start=width)
@@ -49,6 +52,7 @@ def law(yields: Yields = Yields.ALL, *, width: float = 0.4, place: int | None = 
         lateness=0.125,
         yields=yields,
         place=place,
+        steering=steering,
     )
 
 
@@ -59,6 +63,24 @@ def measured(width_rate: float | None = 0.0, *ranges: float | None) -> Measured:
 
 def aimed(one: OddLaw, target: Rates) -> Rates:
     return one.aim(target, measured(), region=Region.ANY, path_rate=None, whole=True)
+
+
+# steering
+
+
+@pytest.mark.parametrize(("wanted", "gyro"), [(0.0, 0.0), (0.02, None)])
+def test_what_a_gyro_added_goes_without_a_step_at_rest_and_in_its_silence(wanted: float, gyro: float | None) -> None:
+    """A body that is pushed round is held; then it is to rest, or nothing is heard of it any more."""
+    one = law(steering=Steering(SteeringGains(2.0, 0.3), top=4.0, acceleration=6.0))
+    step = 2.0 * 6.0 * 0.004 * 0.25 / 0.05  # rad/s of an outer wheel: of what was wanted, and of what was added
+    wheel = []
+    for turn, heard in [(0.02, -2.0)] * 100 + [(wanted, gyro)] * 60:
+        told = measured()._replace(attitude=None if heard is None else Attitude(0.0, 0.0, yaw_rate=heard))
+        motion = one.motion((0.0, 0.0, turn, 0.0), told, braking=turn == 0.0)
+        wheel.append(motion.commands[0].value)
+    assert wheel[99] < -4.0
+    assert all(abs(after - before) <= step for before, after in pairwise(wheel))
+    assert wheel[-1] == pytest.approx(-wanted * 0.25 / 0.05)
 
 
 # the range of the width
