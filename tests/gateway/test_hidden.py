@@ -2,6 +2,12 @@
 
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.recording.recorder import Recorder
+from tests.recordings import robot, robot_text
 
 PICTURE = """
 import rerun as rr, rerun.blueprint as rrb
@@ -33,3 +39,9 @@ def test_arrow_does_without_pandas() -> None:
 
 def test_it_is_there_again_afterwards() -> None:
     assert run(AGAIN) == ""
+
+
+def test_a_recorder_begins_without_a_warning(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    Recorder(robot(tmp_path), robot_text(), "moby.toml").close(20.0)
+    assert list(tmp_path.glob("*/*.rrd"))
+    assert capfd.readouterr().err == ""
