@@ -87,10 +87,8 @@ def build(config: RobotConfig, origin: str = "robot file") -> Robot:
 
 def assemble(config: RobotConfig) -> Assembled:
     """The same to be looked at: a robot that its own drive law refuses has plain wheel speeds in place of that."""
-    motors, problems = (
-        config.motors_in_order(),
-        [f"settings: {one}" for one in problems_of_file(config.settings, config.limits.velocity)],
-    )
+    motors = config.motors_in_order()
+    problems = [f"settings: {one}" for one in problems_of_file(config.settings, config.limits.velocity)]
     kinematics = _made(partial(_kinematics, config.robot), problems)
     groups = _made(partial(_groups, config, motors, ""), problems)
     if groups is None:

@@ -18,9 +18,7 @@ from gateway.control.limits import NO_EASE, Ease
 from gateway.guess import guess
 from gateway.types import SettingStatus
 
-LEAST_SHARE: Final = (
-    0.05  # of a limit of the robot file: with less a robot seems not to obey, and a stop is something else
-)
+LEAST_SHARE: Final = 0.05  # of a limit of the robot file: with less a robot seems not to obey
 _PER_M_S: Final = 1000.0  # steps to which the top of `linear_speed` is rounded up: what is shown can be set
 _DIGITS: Final = 6  # likewise of the least
 

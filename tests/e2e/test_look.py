@@ -1,7 +1,6 @@
 """The live view of a running service: what is seen is what is recorded, and who looks on costs no cycle, no record."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -131,7 +130,6 @@ def test_a_viewer_that_is_closed_ends_the_command(tmp_path: Path, free_port: int
         assert watch.wait(20.0) == 0
 
 
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="the kernel is told by it")
 def test_one_who_is_killed_leaves_no_viewer_behind(tmp_path: Path, free_port: int) -> None:
     with RobotProcess("omni4", tmp_path, free_port) as robot, watching(robot, tmp_path / "watch.log") as watch:
         (viewer,) = children(watch.pid)
