@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from datetime import date
 from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
-from gateway.cli.asking import NotAllowedError, Yes
+from gateway.cli.asking import Yes
 from gateway.cli.correcting import OwnFile
 from gateway.cli.operate import Connect
-from gateway.cli.output import complain, console, errors, in_words, print_json
-from gateway.cli.rewriting import RewriteError
+from gateway.cli.output import console, errors, print_json
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.cli.setup_courses import (
-    EXIT_REFUSED,
+    REFUSALS,
     USUAL_LENGTH,
     Length,
     Measured,
@@ -26,25 +25,18 @@ from gateway.cli.setup_courses import (
     SessionFolder,
     SourceName,
     Truth,
-    UnmeasuredError,
     Wanted,
     gather,
     write,
 )
 from gateway.config import load
-from gateway.course_drive import CourseDriveError
-from gateway.setup.correction import CorrectionError, Entry, rounded
-from gateway.setup.courses import CourseError, geometry_courses
+from gateway.setup.correction import Entry, rounded
+from gateway.setup.courses import geometry_courses
 
 if TYPE_CHECKING:
     from replay.calibrate.calibrate import Calibrated
     from replay.calibrate.models import Number
     from replay.calibrate.umbmark import Umbmark
-
-REFUSALS = (
-    *(CourseError, CourseDriveError, UnmeasuredError, CorrectionError, NotAllowedError, RewriteError, OSError),
-    KeyboardInterrupt,
-)
 
 
 def calibrate(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
@@ -81,20 +73,11 @@ def calibrate(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an
             _show(found)
         kept = write(file, text, entries(found.numbers, len(gathered.driven)), yes=yes) if found.numbers else None
     except REFUSALS as error:
-        refuse(file, error, json=json)
+        refuse(error, json=json, unchanged=file)
     if json:
         print_json(document(found, len(gathered.driven)) | {"measured": str(gathered.file), "kept": kept and str(kept)})
     if found.refused:
         raise typer.Exit(EXIT_REFUSED)
-
-
-def refuse(file: Path, error: BaseException, *, json: bool) -> NoReturn:
-    """The end of a command that changed nothing."""
-    reason = in_words(error) if isinstance(error, Exception) else "interrupted"
-    if json:
-        print_json({"ok": False, "reason": reason})
-    complain(f"{reason}; {file} is as it was")
-    raise typer.Exit(EXIT_REFUSED) from None
 
 
 def entries(numbers: Sequence["Number"], courses: int) -> list[Entry]:

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from gateway.cli.asking import allow, ask
+from gateway.cli.asking import NotAllowedError, allow, ask
 from gateway.cli.operate import open_client
 from gateway.cli.output import complain, errors
-from gateway.cli.rewriting import create, drafted, rewrite, rewrite_keeping
+from gateway.cli.rewriting import RewriteError, create, drafted, rewrite, rewrite_keeping
 from gateway.client import Client
 from gateway.commander import config_of
 from gateway.config import ConfigError, RobotConfig, read
 from gateway.core.examination import examine_text
 from gateway.course_drive import CourseDriveError, Driven, drive_course, session_of
 from gateway.edges.messages import TruthMessage
-from gateway.setup.correction import Entry, difference, with_entries
+from gateway.setup.correction import CorrectionError, Entry, difference, with_entries
 from gateway.setup.courses import (
     LENGTH,
     MOST,
@@ -39,7 +39,6 @@ from gateway.setup.courses import (
 if TYPE_CHECKING:
     from replay.calibrate import ways
 
-EXIT_REFUSED = 1
 TOLD_TIMEOUT_S = 5.0
 FAR, TURNED = 100.0, 36_000.0  # m and degrees: more is mistyped
 RECORDED_S = 2.0  # after which the recorder has surely written a cycle
@@ -89,6 +88,12 @@ class Gathered(NamedTuple):
 
 class UnmeasuredError(RuntimeError):
     """Courses were driven, and nobody measured them: they are in the file, to be measured and given again."""
+
+
+REFUSALS = (  # of both commands: nothing was changed
+    *(CourseError, CourseDriveError, UnmeasuredError, CorrectionError, NotAllowedError, RewriteError, OSError),
+    KeyboardInterrupt,
+)
 
 
 def gather(file: Path, config: RobotConfig, text: str, wanted: Wanted) -> Gathered:

@@ -14,9 +14,9 @@ from gateway.cli.asking import Yes
 from gateway.cli.correcting import OwnFile
 from gateway.cli.operate import Connect
 from gateway.cli.output import console, errors, print_json
-from gateway.cli.setup_calibrate import REFUSALS, refuse
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.cli.setup_courses import (
-    EXIT_REFUSED,
+    REFUSALS,
     USUAL_LENGTH,
     Length,
     Measured,
@@ -73,7 +73,7 @@ def covariance(  # noqa: PLR0913, PLR0917  # a command line: each parameter is a
             _show(found)
         kept = write(file, text, entries(found.growths, found.courses), yes=yes)
     except REFUSALS as error:
-        refuse(file, error, json=json)
+        refuse(error, json=json, unchanged=file)
     if json:
         print_json(document(found) | {"measured": str(gathered.file), "kept": str(kept)})
     if found.untold:

@@ -7,8 +7,9 @@ import typer
 from gateway.cli.asking import NotAllowedError, Yes, allow, ask
 from gateway.cli.correcting import OwnFile, correct
 from gateway.cli.output import complain, errors, print_json
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import EXIT_REFUSED, exit_code, run, warning, words
+from gateway.cli.setup_jog import run, warning, words
 from gateway.config import Bus, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -57,11 +58,7 @@ def directions(  # noqa: PLR0917  # a command line: each parameter is an option 
         *(DirectionsError, FindingError, CorrectionError, RewriteError, JogError, NotAllowedError, AdapterError),
         KeyboardInterrupt,
     ) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json, unchanged=file)
     if json:
         rows = [change._asdict() for change in changes]
         print_json({"ok": not missing, "changes": rows, "missing": missing, "kept": kept and str(kept)})

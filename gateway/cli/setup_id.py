@@ -9,8 +9,8 @@ import typer
 from drivers import DRIVERS
 from drivers.contract import CanFrame, Identity, RenamingOverCan
 from gateway.cli.asking import NotAllowedError, Yes, allow
-from gateway.cli.output import complain, console, errors, print_json
-from gateway.cli.setup_jog import EXIT_REFUSED, exit_code
+from gateway.cli.output import console, errors, print_json
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import Claims, refuse_where_commanded
 from gateway.edges.listening import Place, listen
@@ -60,11 +60,7 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
         else:
             document = _by_hand(place, driver, variant, how, say=say, to=to)
     except (RenamingError, NotAllowedError, AdapterError, KeyboardInterrupt) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(reason)
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json)
     if json:
         print_json(document)
     if not document["ok"]:

@@ -6,7 +6,8 @@ import typer
 
 from gateway import robot_files
 from gateway.cli.asking import NotAllowedError, Yes, allow
-from gateway.cli.output import complain, console, print_json
+from gateway.cli.output import console, print_json
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.config import Bus, ConfigError, Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.can_bus import CanBuses
@@ -16,9 +17,6 @@ from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
 from gateway.setup.jog import PERIOD_NS, USUAL_SECONDS, USUAL_SPEED, Ending, Jog, JogError, Outcome
 from gateway.setup.words import positive_ways
-
-EXIT_REFUSED = 1
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 
 
 def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a name
@@ -40,11 +38,7 @@ def jog(  # noqa: PLR0917  # a command line: each parameter is an option with a 
         )
         outcome = run(config, procedure)
     except (JogError, NotAllowedError, AdapterError, KeyboardInterrupt) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(reason)
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json)
     if json:
         print_json(outcome._asdict() | {"ok": outcome.well, "ending": outcome.ending.value})
     else:
@@ -69,11 +63,6 @@ def run(config: RobotConfig, procedure: Jog) -> Outcome:
     if ending.by is not None and procedure.outcome.ending is Ending.TURNED:  # asked when it had turned already
         return procedure.outcome._replace(ending=Ending.ASKED, reason=ending.by)
     return procedure.outcome
-
-
-def exit_code(error: BaseException) -> int:
-    """With what a step of setup ends that this ended: a bus that is not there may be there later."""
-    return EXIT_UNAVAILABLE if isinstance(error, AdapterError) else EXIT_REFUSED
 
 
 def look_for_bus(config: RobotConfig, name: str) -> None:

@@ -11,12 +11,12 @@ import typer
 
 from gateway.cli.asking import NotAllowedError, ask
 from gateway.cli.output import EXIT_CONFIG, complain, console, errors, print_json
+from gateway.cli.refusing import refuse
 from gateway.config import document_of, read
 from gateway.core.examination import examined
 from gateway.setup.fields import AnswerError, Field, Value
 from gateway.setup.interview import Question, robot_file
 
-EXIT_REFUSED = 1
 STAND_INS: Final = (1, 3, "robot")  # for what is missing: so it is told at once what else is
 
 
@@ -93,11 +93,7 @@ def new(
         asker = Asker(_given(answers, given or ()), person=sys.stdin is not None and sys.stdin.isatty())
         text = _written(file, asker)
     except (AnswerError, NotAllowedError, KeyboardInterrupt, OSError) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(reason)
-        raise typer.Exit(EXIT_REFUSED) from None
+        refuse(error, json=json)
     problems, warnings = _checked(text, file)
     if json:
         answered = dict(asker.answers)

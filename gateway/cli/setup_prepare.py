@@ -10,10 +10,10 @@ from rich.table import Table
 from drivers.odrive.endpoints import EndpointError, FlatEndpoints, read_flat
 from gateway.cli.asking import Yes
 from gateway.cli.correcting import OwnFile
-from gateway.cli.output import complain, console, in_words, print_json
+from gateway.cli.output import console, in_words, print_json
 from gateway.cli.preparing import PrepareError, Preparing, to_ourselves
+from gateway.cli.refusing import EXIT_REFUSED, refuse
 from gateway.cli.rewriting import RewriteError
-from gateway.cli.setup_jog import EXIT_REFUSED, exit_code
 from gateway.config import Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.setup.correction import CorrectionError
@@ -62,11 +62,7 @@ def prepare(  # noqa: PLR0917  # a command line: each parameter is an option wit
         if calibrate:
             work.calibrate(yes=yes)
     except (PrepareError, EndpointError, AdapterError, RewriteError, CorrectionError, KeyboardInterrupt) as error:
-        reason = INTERRUPTED if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(reason)
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json, interrupted=INTERRUPTED)
     bad = wrong(work.lines)
     if json:
         rows = [line._asdict() | {"verdict": line.verdict.value} for line in work.lines]

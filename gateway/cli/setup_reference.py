@@ -6,9 +6,10 @@ import typer
 
 from gateway.cli.asking import NotAllowedError, Yes, ask
 from gateway.cli.correcting import OwnFile, correct
-from gateway.cli.output import complain, console, errors, print_json
+from gateway.cli.output import console, errors, print_json
+from gateway.cli.refusing import refuse
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import bus_of, exit_code
+from gateway.cli.setup_jog import bus_of
 from gateway.config import Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -50,11 +51,7 @@ def reference(
         *(UnreferencedError, CorrectionError, RewriteError, NotAllowedError, AdapterError),
         KeyboardInterrupt,
     ) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json, unchanged=file)
     if absolute:
         errors.print("Cut the power of these joints once, and run this again: a zero that changes is no absolute one.")
     if json:

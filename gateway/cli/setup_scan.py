@@ -10,7 +10,8 @@ from drivers import DRIVERS
 from drivers.contract import CanFrame
 from gateway import robot_files
 from gateway.cli.doctor import link_of
-from gateway.cli.output import complain, console, print_json
+from gateway.cli.output import console, print_json
+from gateway.cli.refusing import refuse
 from gateway.config import RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -20,7 +21,6 @@ from gateway.setup.census import Census, Report
 from gateway.setup.match import Match, match
 
 EXIT_FOUND_CONFLICT = 1
-EXIT_UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 ASK_AFTER = 0.4  # of the time: whom to ask is known by then
 
 
@@ -44,10 +44,7 @@ def scan(  # noqa: PLR0917  # a command line: each parameter is an option with a
     try:
         errors = listen(place, seconds, lambda frame: census.take([frame]), questions=_questions(ask, census, seconds))
     except AdapterError as error:
-        if json:
-            print_json({"ok": False, "reason": str(error)})
-        complain(str(error))
-        raise typer.Exit(EXIT_UNAVAILABLE) from None
+        refuse(error, json=json)
     motors = [] if config is None else config.motor
     report = census.report(seconds, known=[(motor.driver, motor.variant, motor.id) for motor in motors])
     said = words(_link(place), bus, frames=report.frames, errors=errors)

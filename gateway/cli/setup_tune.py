@@ -9,9 +9,10 @@ from rich.table import Table
 
 from gateway.cli.asking import NotAllowedError, Yes, allow
 from gateway.cli.correcting import OwnFile, correct
-from gateway.cli.output import complain, console, errors, in_words, print_json
+from gateway.cli.output import console, errors, print_json
+from gateway.cli.refusing import refuse
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import exit_code, look_for_bus, run, warning, words
+from gateway.cli.setup_jog import look_for_bus, run, warning, words
 from gateway.config import ConfigError, RobotConfig, load
 from gateway.core.examination import carried_inertia, examine_text
 from gateway.edges.can_adapter import AdapterError
@@ -74,11 +75,7 @@ def tune(
         *(TuneError, JogError, CorrectionError, RewriteError, NotAllowedError, ConfigError, OSError, AdapterError),
         KeyboardInterrupt,
     ) as error:
-        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else in_words(error)
-        if json:
-            print_json({"ok": False, "reason": reason})
-        complain(f"{reason}; {file} is as it was")
-        raise typer.Exit(exit_code(error)) from None
+        refuse(error, json=json, unchanged=file)
     if json:
         print_json({"ok": True, **_document(motor, tuned), "kept": kept and str(kept)})
 

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -60,7 +61,7 @@ def stand(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[.
     made: list[Stand] = []
 
     def make(name: str, wrong: Callable[[str], str] = str) -> Stand:
-        made.append(Stand(tmp_path, request.node.name, name, wrong))
+        made.append(Stand(tmp_path, f"{os.getpid()}_{request.node.name}"[:40], name, wrong))
         return made[-1]
 
     yield make
@@ -188,7 +189,7 @@ def test_ctrl_c_at_the_question_is_told(stand: Callable[..., Stand], monkeypatch
 
 def test_ctrl_c_ends_it(stand: Callable[..., Stand]) -> None:
     one = stand("kiwi")
-    main = threading.get_ident()
+    main, before = threading.get_ident(), signal.getsignal(signal.SIGINT)
 
     def watch() -> None:
         while one.plant.rates[0] < 0.3:
@@ -206,7 +207,7 @@ def test_ctrl_c_ends_it(stand: Callable[..., Stand]) -> None:
     assert document(result)["reason"] == f"signal {signal.SIGINT.value}"
     assert document(result)["released"]
     assert one.plant.angles[0] < 1.0
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_id(stand: Callable[..., Stand]) -> None:

@@ -21,7 +21,7 @@ from gateway.edges.claims import Claims, InUseError
 from gateway.setup.renaming import KINDS, IdWatch, RenamingError, way
 from replay.sim.controllers.odrive import SimulatedODrive
 from tests.drivers.rig import can_frame
-from tests.gateway.test_setup_inputs import Terminal, Told, simulated
+from tests.gateway.test_setup_inputs import CHANNEL, Terminal, Told, simulated
 from tests.jogging import Bench
 from tests.setup_robots import TRUE, wronged
 from tests.world import robot_text
@@ -46,7 +46,7 @@ def called(
     typed: tuple[str, ...] = (),
     terminal: bool = False,
     disturb: Callable[[Bench], None] = lambda _: None,
-    channel: str = "can0",
+    channel: str = CHANNEL,
 ) -> tuple[int, dict[str, object]]:
     out, code = StringIO(), 0
     stdin = patch.object(sys, "stdin", Terminal(typed, terminal=terminal))

@@ -3,6 +3,7 @@
 The commands run as they are; the bus, its clock and the terminal are simulated.
 """
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -171,12 +172,13 @@ def call(command: str, config: RobotConfig, file: str, which: int, more: Sequenc
         motor = config.motor[which % len(config.motor)]
         kind = next(kind for kind, of in KINDS.items() if of == (motor.driver, motor.variant))
         serial = f"--serial={crc32(motor.name.encode()):X}"
-        return ["id", "can0", kind, f"--to={which + 4}", *options, *([serial] if "odrive" in kind else [])]
+        return ["id", CHANNEL, kind, f"--to={which + 4}", *options, *([serial] if "odrive" in kind else [])]
     names = config.robot.motor_names()
     target = [file, names[which % len(names)]] if command in ("jog", "tune") else [file]
     return [command, *target, *options]
 
 
+CHANNEL = f"can{os.getpid()}"  # `id` claims identifiers on it, and the names are of the whole computer
 TURNING = ("jog", "directions")
 MOVING = ("--speed", "--seconds", "--by-hand")
 COMMANDS = ("scan", "id", "jog", "directions", "reference", "tune")

@@ -1,6 +1,7 @@
 """`drivegate setup prepare` on simulated controllers in real time: found wrong, set, read back, saved, found right."""
 
 import json
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def stand(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[.
     made: list[Stand] = []
 
     def make(name: str, wrong: Callable[[str], str] = str) -> Stand:
-        made.append(Stand(tmp_path, request.node.name, name, wrong))
+        made.append(Stand(tmp_path, f"{os.getpid()}_{request.node.name}"[:40], name, wrong))
         return made[-1]
 
     yield make
