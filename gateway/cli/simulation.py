@@ -8,7 +8,7 @@ from pathlib import Path
 from gateway.client import Client
 from gateway.config import ConfigError, RobotConfig, parse_as
 from gateway.edges import keys
-from gateway.edges.messages import MAX_WORDS, QUANTITIES
+from gateway.edges.messages import QUANTITIES
 from gateway.edges.zenoh_link import ZenohLink
 from gateway.types import Outputs
 from replay.drive.live_faults import LiveFaults, entries_of
@@ -92,10 +92,10 @@ def _truth_teller(bus: SimulatedBus, link: ZenohLink) -> AfterCycle:
 def _breaking(faults: LiveFaults, link: ZenohLink) -> AfterCycle:
     """Breaks what is due, and tells the recording."""
 
-    def break_due(now_ns: int, _: Outputs) -> None:
-        told = faults.step(now_ns)
-        if told is not None:
-            link.mark(f"simulated: {told}"[:MAX_WORDS], now_ns)
+    def break_due(now_ns: int, outputs: Outputs) -> None:
+        mark = faults.step(now_ns, outputs.events)
+        if mark is not None:
+            link.mark(mark, now_ns)
 
     return break_due
 

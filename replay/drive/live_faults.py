@@ -5,18 +5,22 @@ How this works
 Whoever gives faults does so from any thread, checked at once; they wait in a queue. The loop, which owns the world,
 takes them between two cycles and breaks what is due. Times count from when the loop takes them. What it did it tells in
 words, for a mark in the recording: what happens in the world is no input of the core, so nothing else would tell it.
-Marks that follow each other too fast are told only in part: so what happens meanwhile waits for the next, with its age.
+The core counts marks that follow each other too fast instead of telling them: so what it has not told, and what has no
+room in one mark, waits for the next, with its age.
 """
 
 import heapq
 import re
 from collections import deque
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 from gateway.config import ConfigError, RobotConfig
 from gateway.core.reporter import REPEAT_NS
+from gateway.edges.messages import MAX_WORDS
 from gateway.guess import guess
+from gateway.types import Event, RequestKind
 from replay.drive.breaking import Breaking
 from replay.drive.faults import FaultKind
 from replay.drive.scenario_file import MAX_SECONDS, At, Fault, Scenario, check_names
@@ -26,6 +30,7 @@ from replay.sim.plants.contract import PlantName
 
 MAX_WAITING = 256  # faults that are to come, and ends of those that are there
 MARKS_APART_NS = round(1.05 * REPEAT_NS)  # a mark is in the core a cycle later, or two
+MARK = "simulated: "  # how each begins
 NOT_LIVE = {FaultKind.LOOP_PAUSE: "the loop of a robot that runs is paused by stopping its process (SIGSTOP, SIGCONT)"}
 LIVE = tuple(kind for kind in FaultKind if kind not in NOT_LIVE)
 
@@ -53,7 +58,8 @@ class LiveFaults:
         self._numbered = 0
         self._givings = 0
         self._untold: list[tuple[int, str]] = []
-        self._told_ns: int | None = None
+        self._marked, self._mark = 0, ""  # how many of those are in the mark that was left last, and that mark
+        self._left_ns: int | None = None
 
     def give(self, script: Script, origin: str = ON_THE_COMMAND_LINE) -> None:
         """Leaves it to the loop. Raises ConfigError for what is no fault, or not of this robot: then nothing of it."""
@@ -69,18 +75,20 @@ class LiveFaults:
         check_names(asked, self._config, origin)
         self._given.append(script)
 
-    def step(self, now_ns: int) -> str | None:
-        """What is due by now happens; in words, when it is time to tell them."""
+    def step(self, now_ns: int, told: Sequence[Event]) -> str | None:
+        """What is due by now happens; a mark to be left now, if any. `told`: the events of this cycle."""
         while self._given:
             self._take(self._given.popleft(), now_ns)
         while self._due and self._due[0].at_ns <= now_ns:
             self._untold.append((now_ns, self._happen(heapq.heappop(self._due), now_ns)))
-        if not self._untold or (self._told_ns is not None and now_ns - self._told_ns < MARKS_APART_NS):
+        if any(event.code == RequestKind.MARK.value and event.text.startswith(self._mark) for event in told):
+            del self._untold[: self._marked]
+            self._marked = 0
+        if not self._untold or (self._left_ns is not None and now_ns - self._left_ns < MARKS_APART_NS):
             return None
-        told, self._untold, self._told_ns = self._untold, [], now_ns
-        return ", ".join(
-            one if at_ns == now_ns else f"{one} {(now_ns - at_ns) * 1e-9:.2f} s ago" for at_ns, one in told
-        )
+        self._left_ns = now_ns
+        self._marked, self._mark = _in_one_mark(self._untold, now_ns)
+        return self._mark
 
     def _take(self, script: Script, now_ns: int) -> None:
         self._givings += 1
@@ -114,6 +122,14 @@ class LiveFaults:
             or (due.names is None and due.giving >= giving)
         ]
         heapq.heapify(self._due)
+
+
+def _in_one_mark(untold: Sequence[tuple[int, str]], now_ns: int) -> tuple[int, str]:
+    """How many of them have room in one mark, and that mark; the first always has."""
+    texts = [one if at_ns == now_ns else f"{one} {(now_ns - at_ns) * 1e-9:.2f} s ago" for at_ns, one in untold]
+    ends = accumulate(len(text) + len(", ") for text in texts)
+    count = max(1, sum(len(MARK) + end - len(", ") <= MAX_WORDS for end in ends))
+    return count, (MARK + ", ".join(texts[:count]))[:MAX_WORDS]
 
 
 def words(fault: Fault) -> str:

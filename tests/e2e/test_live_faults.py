@@ -7,7 +7,7 @@ from pathlib import Path
 import zenoh
 
 from gateway.edges import keys
-from gateway.edges.messages import ResetAnswer, decode_reply
+from gateway.edges.messages import ResetAnswer, StateMessage, decode_reply
 from gateway.types import Mode
 from tests.e2e.robot_process import RobotProcess, in_mode
 from tests.world import robot_text
@@ -32,8 +32,13 @@ def test_a_simulated_robot_is_broken_and_the_recording_tells_it(tmp_path: Path, 
         assert said.returncode == 1
         assert "refused: at[0].fault.motor = 'nobody': there is front_left" in said.stderr
 
-        texts = [event.text for event in robot.client.events() if event.code == "mark"]
-        assert any("power_off:front_left" in text for text in texts), texts
+        texts: list[str] = []
+
+        def told(_: StateMessage) -> bool:
+            texts.extend(event.text for event in robot.client.events() if event.code == "mark")
+            return any("power_off:front_left" in text for text in texts)
+
+        robot.await_state(told)  # a mark waits until a second after the last
         (reply,) = asked(robot, f"omni4/{keys.FAULT}", b"at = [")
         assert reply is not None
         assert not reply.ok

@@ -1,6 +1,8 @@
 """Faults of a simulated robot that runs: given in the one vocabulary, happening at their time, told in words."""
 
 import re
+from collections.abc import Sequence
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -8,9 +10,10 @@ from hypothesis import strategies as st
 
 from gateway.cli.simulation import _take
 from gateway.config import ConfigError
-from gateway.types import Mode, Request, RequestKind, Twist
+from gateway.edges.messages import MAX_WORDS
+from gateway.types import Event, Mode, Request, RequestKind, Twist
 from replay.drive.faults import RULES, FaultKind
-from replay.drive.live_faults import LIVE, MAX_WAITING, LiveFaults, entries_of, words
+from replay.drive.live_faults import LIVE, MARK, MAX_WAITING, LiveFaults, entries_of, words
 from replay.drive.script import Script, in_words, script_of, text_of
 from replay.sim.plants.contract import PlantName
 from tests.world import World
@@ -39,12 +42,17 @@ def robot(name: str = "omni4") -> tuple[World, LiveFaults]:
 
 
 def run(world: World, faults: LiveFaults, seconds: float, twist: Twist | None = None) -> list[str]:
-    """So many seconds; what was told, with its time in s since the first cycle."""
+    """So many seconds; what the core told of them, with its time in s since the first cycle."""
     begin_ns, told = world.now_ns, []
+    marks: list[Request] = []
     for index in range(round(seconds * SECOND_NS / world.period_ns)):
-        world.cycle(commands=[world.command(twist)] if twist is not None and index % 5 == 0 else [])
-        if (said := faults.step(world.now_ns)) is not None:
-            told.append(f"{(world.now_ns - begin_ns) / SECOND_NS:.2f} {said}")
+        commands = [world.command(twist)] if twist is not None and index % 5 == 0 else []
+        outputs = world.cycle(commands=commands, requests=marks)
+        mark = faults.step(world.now_ns, outputs.events)
+        marks = [] if mark is None else [Request(RequestKind.MARK, 0, world.now_ns, text=mark)]
+        if mark is not None:
+            assert 0 < len(mark) <= MAX_WORDS
+            told.append(f"{(world.now_ns - begin_ns) / SECOND_NS:.2f} {mark.removeprefix(MARK)}")
     return told
 
 
@@ -96,17 +104,39 @@ def test_clear_of_one_motor_leaves_the_others() -> None:
     )
 
 
+def told_slopes(events: Sequence[Event]) -> list[float]:
+    texts = ", ".join(event.text for event in events if event.code == "mark")
+    return [float(value) for value in re.findall(r"slope=([\d.]+)", texts)]
+
+
+SLOPES = [0.01 * index for index in range(30)]
+
+
 def test_all_of_it_is_told_however_fast_it_happens() -> None:
     """By a core that holds back marks which follow each other too fast: every word, in time order."""
     world, faults = robot()
-    faults.give(script(*[f"slope@{0.1 * index}={0.01 * index:g}" for index in range(30)]))
+    faults.give(script(*[f"slope@{2.0 * value:g}={value:g}" for value in SLOPES]))
+    run(world, faults, 12.0)
+    assert told_slopes(world.events) == SLOPES
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_of_it_is_told_where_people_mark_too_and_marks_are_late_or_lost(seed: int) -> None:
+    """A mark whose cycle came late is held back by the core, and one that waited too long never got there."""
+    random = Random(seed)
+    world, faults = robot()
+    faults.give(script(*[f"slope@{10.0 * value:g}={value:g}" for value in SLOPES]))
     marks: list[Request] = []
-    for _ in range(1500):
-        world.cycle(requests=marks)
-        told = faults.step(world.now_ns)
-        marks = [] if told is None else [Request(RequestKind.MARK, 0, world.now_ns, text=told)]
-    texts = ", ".join(event.text for event in world.events if event.code == "mark")
-    assert [float(value) for value in re.findall(r"slope=([\d.]+)", texts)] == [0.01 * index for index in range(30)]
+    for _ in range(round(16.0 * SECOND_NS / world.period_ns)):
+        if random.random() < 0.001:
+            marks.append(Request(RequestKind.MARK, 0, world.now_ns, text="it squeals"))
+        late = random.random() < 0.9
+        outputs = world.cycle(requests=[] if late else marks)
+        marks = marks if late else []
+        mark = faults.step(world.now_ns, outputs.events)
+        if mark is not None and random.random() < 0.8:
+            marks.append(Request(RequestKind.MARK, 0, world.now_ns, text=mark))
+    assert told_slopes(world.events) == SLOPES
 
 
 @pytest.mark.parametrize("kind", FaultKind, ids=lambda one: one.value)
