@@ -182,7 +182,7 @@ class Decoupled:
         `wheels`: rad/s^2 that each has for it; planning with those keeps every rate one from which it can fall.
         """
         way = summed(going.aim, going.now, -1.0)
-        ease = eased(ease, going.now, way, self._acceleration)
+        ease = eased(ease, going.now, way, self._acceleration, dt)
         longest = self._wheels.seconds(way, wheels)
         if longest <= dt and arrives(way, going.rate, self._acceleration, self._jerk, dt, ease=ease):
             return going.aim, scaled(way, 1.0 / dt)

@@ -14,9 +14,9 @@ w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what
 twists is not convex: where the straight line would leave it, the rates that must fall go first (`_beside`).
 Axes beyond the twist (`Rates`) accelerate nothing but themselves.
 
-`Ease` makes speeding up softer than the limits are, and nothing else: a setpoint that slows down has all of them, so
-whoever lets go or commands zero is at rest as soon as without it. It only ever changes what is aimed at; the rate gets
-there within the jerk limit, so that it may come, change and go in any cycle.
+`Ease` makes speeding up softer than the limits are, and nothing else: as long as an axis falls all of them hold, so
+whoever lets go or commands zero, on one axis or on all, has it as soon as without it. It only ever changes what is
+aimed at; the rate gets there within the jerk limit, so that it may come, change and go in any cycle.
 """
 
 from math import ceil, sqrt
@@ -198,7 +198,7 @@ class TwistLimiter:
             return before, active
         aim = self._beside(wanted) if self._line_leaves(wanted) else wanted
         way = summed(aim, before, -1.0)
-        ease = eased(ease, before, way, self._acceleration)
+        ease = eased(ease, before, way, self._acceleration, dt)
         if self._arrives(way, dt, ease):
             after, self._rate = aim, scaled(way, 1.0 / dt)
         else:
@@ -303,15 +303,17 @@ class TwistLimiter:
         self._rate = turned(self._rate, way, length, self._jerk, slope=self._rho * ease.slope, dt=dt, ease=ease.jerk)
 
 
-def eased(ease: Ease, rates: Rates, way: Rates, acceleration: Rates) -> Ease:
-    """What of it holds for a setpoint that goes this way: nothing while that leads towards rest.
+def eased(ease: Ease, rates: Rates, way: Rates, acceleration: Rates, dt: float) -> Ease:
+    """What of it holds for a setpoint that goes this way: nothing while an axis falls.
 
-    Where one axis falls and another grows, more of the acceleration limits decides: a straight line has one pace.
+    A straight line has one pace: what grows on it beside goes with what falls. Not for a fall that a step of dt has
+    room for, as that of a hand that trembles, beside more that grows.
     """
     if ease == NO_EASE:
         return NO_EASE
-    units = [1.0 / (limit * limit) for limit in acceleration]
-    return ease if dot([value * unit for value, unit in zip(rates, units)], way) >= 0.0 else NO_EASE
+    falls = tuple([step if value * step < 0.0 else 0.0 for value, step in zip(rates, way)])
+    falling = excess(falls, acceleration)
+    return ease if falling <= dt and falling < excess(summed(way, falls, -1.0), acceleration) else NO_EASE
 
 
 def arrives(way: Rates, rate: Rates, acceleration: Rates, jerk: Rates, dt: float, *, ease: Ease = NO_EASE) -> bool:

@@ -117,6 +117,28 @@ def test_no_stop_is_weaker(  # noqa: PLR0917  # hypothesis gives them by place
     pytest.fail("never at rest")
 
 
+ONE_AXIS = [(0.0, 0.8, 0.0), (0.0, -0.3, 0.5), (0.0, 0.0, 1.0), (0.2, 0.8, 0.0)]
+
+
+@settings(max_examples=50, deadline=None)
+@given(kinds, vectors, vectors, jerks, st.sampled_from(ONE_AXIS), eases)
+def test_an_axis_that_is_to_fall_falls_as_without_any_whatever_grows_beside_it(  # noqa: PLR0917
+    kind: Saturation, velocity: Rates, acceleration: Rates, jerk: Rates, share: tuple[float, ...], ease: Ease
+) -> None:
+    """From forward to sideways, to turning, to a slower curve: number for number, but for the last step of it."""
+    moving, untouched = (limiter(kind, velocity, acceleration, jerk) for _ in range(2))
+    for one in (moving, untouched):
+        for _ in range(5_000):
+            one.step(scaled_by((0.8, 0.0, 0.0), velocity), PERIOD)
+    target = scaled_by(share, velocity)
+    for _ in range(20_000):
+        speed, slow = moving.step(target, PERIOD, ease=ease)[0][0], untouched.step(target, PERIOD)[0][0]
+        assert abs(speed - slow) <= acceleration[0] * PERIOD * SAME
+        if slow == untouched.rates[0] == target[0] and abs(speed - target[0]) < 1e-6:
+            return
+    pytest.fail("never there")
+
+
 @settings(max_examples=50, deadline=None)
 @given(vectors, vectors, jerks, shares, st.lists(st.tuples(st.floats(0.0, 1.0), eases), min_size=1, max_size=6))
 def test_from_rest_it_arrives_and_never_goes_beyond(
