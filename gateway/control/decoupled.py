@@ -24,6 +24,7 @@ from gateway.control.limits import (
     arrives,
     eased,
     excess,
+    landable,
     landing_slope,
     scale_to,
     scaled,
@@ -188,6 +189,7 @@ class Decoupled:
             return going.aim, scaled(way, 1.0 / dt)
         length = max(excess(way, free) / (effort * ease.acceleration), longest)
         rate = turned(going.rate, way, length, self._jerk, slope=group.slope * ease.slope, dt=dt, ease=ease.jerk)
+        rate = landable(going.now, going.rate, rate, self._velocity, self._jerk, dt=dt)
         return scale_to(summed(going.now, rate, dt), self._velocity), rate
 
     def _falling(self, rate: Rates, dt: float) -> Rates:

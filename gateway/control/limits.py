@@ -19,7 +19,7 @@ whoever lets go or commands zero, on one axis or on all, has it as soon as witho
 aimed at; the rate gets there within the jerk limit, so that it may come, change and go in any cycle.
 """
 
-from math import ceil, sqrt
+from math import ceil, floor, sqrt
 from typing import Final, NamedTuple, Protocol
 
 from drivers.records import maker
@@ -300,7 +300,8 @@ class TwistLimiter:
         length = excess(way, spare(self.rates, self._acceleration, way)) / (effort * ease.acceleration)
         if self._wheels is not None:
             length = max(length, self._wheels.seconds(way, self._wheels.accelerations))
-        self._rate = turned(self._rate, way, length, self._jerk, slope=self._rho * ease.slope, dt=dt, ease=ease.jerk)
+        rate = turned(self._rate, way, length, self._jerk, slope=self._rho * ease.slope, dt=dt, ease=ease.jerk)
+        self._rate = landable(self.rates, self._rate, rate, self._velocity, self._jerk, dt=dt)
 
 
 def eased(ease: Ease, rates: Rates, way: Rates, acceleration: Rates, dt: float) -> Ease:
@@ -338,6 +339,22 @@ def turned(rate: Rates, way: Rates, length: float, jerk: Rates, *, slope: float,
     return summed(rate, change, 1.0 / worst if worst > 1.0 else 1.0)
 
 
+def landable(now: Rates, before: Rates, rate: Rates, velocity: Rates, jerk: Rates, *, dt: float) -> Rates:
+    """The rate after that before, where every axis can still end at its top speed.
+
+    All of a rate turns towards a target that jumps, and an axis that has little to fall falls with those that have
+    much. One that would be beyond its top speed before it lands falls by itself instead, by all the jerk that it has;
+    what can land can so after that step too, so it is never too late.
+    """
+    kept = rate
+    for axis, (speed, was, change, top, most) in enumerate(zip(now, before, rate, velocity, jerk)):
+        way = 1.0 if change > 0.0 else -1.0
+        if dt * _landing_way(abs(change), most * dt) > top * _ROUNDING - way * speed:
+            falls = way * max(0.0, way * was - most * dt)
+            kept = (*kept[:axis], falls, *kept[axis + 1 :])
+    return kept
+
+
 def spare(rates: Rates, acceleration: Rates, way: Rates) -> Rates:
     """What turning leaves of the acceleration limits in the direction of the way."""
     vx, vy, wz = rates[:3]
@@ -348,6 +365,12 @@ def _landing_rate(way: float, fall: float) -> float:
     """Rate from which steps that fall by `fall` each cover the way (in rate times steps) and end at zero."""
     steps = max(1, ceil(sqrt(0.25 + 2.0 * way / fall) - 0.5 - 1e-9))
     return way / steps + fall * (steps - 1) / 2.0
+
+
+def _landing_way(rate: float, fall: float) -> float:
+    """What steps that fall by `fall` each still cover from a rate on, in rate times steps."""
+    steps = floor(rate / fall) + 1
+    return steps * (rate - fall * (steps - 1) / 2.0)
 
 
 def landing_slope(acceleration: Rates, jerk: Rates) -> float:

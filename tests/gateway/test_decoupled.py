@@ -4,7 +4,7 @@ from itertools import pairwise
 from math import hypot
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.config import ConfigError, parse
@@ -240,6 +240,14 @@ targets = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 3), min_size=1, max_size=
 
 
 @settings(max_examples=60, deadline=None)
+@example(
+    TRANSLATION,
+    "symmetric",
+    ((1.0, 0.5, 1.0), (1.0,) * 3, (5.0,) * 3),
+    (15.0, 10.0),
+    [(1.5, -0.75, 0.0), (0.0, -1.0, 1.0)],
+    0.01,
+)
 @given(
     st.sampled_from(list(Saturation)),
     st.sampled_from(list(LAYOUTS)),
