@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import pytest
 
-from gateway.cli.drive import _Device, _loop, _Pad, _raw, _Robot
+from gateway.cli.drive import _Device, _Keyboard, _loop, _Pad, _raw, _Robot
 from gateway.client import Client
 from gateway.edges.evdev import Gamepad, GamepadError
 from gateway.edges.messages import StateMessage
@@ -190,6 +190,15 @@ def typist(monkeypatch: pytest.MonkeyPatch) -> Iterator[Typist]:
         monkeypatch.setattr(sys, "stdin", stdin)
         yield Typist(keyboard, terminal)
     os.close(keyboard)
+
+
+@pytest.mark.parametrize("keys", ["!x", "x!", "w!x"])
+def test_a_stop_in_the_look_that_quits_is_put(typist: Typist, keys: str) -> None:
+    client = FakeClient()
+    typist.type(keys)
+    waiting = run(client, _Keyboard())
+    assert client.heard == [0.0, ZERO_TWIST]
+    assert waiting.asked == [client.stop], "and it is confirmed before the command ends"
 
 
 # a gamepad beside them
