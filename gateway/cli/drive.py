@@ -184,8 +184,11 @@ def _loop(robot: _Robot, device: _Device, hand: Hand, waiting: ThreadPoolExecuto
     """Until it is quit; zero is sent at its end, whatever ends it."""
     with Live(console=console, refresh_per_second=10) as live, suppress(KeyboardInterrupt):
         try:
-            while not (wish := device.wish(1.0 / COMMAND_RATE_HZ)).quit:
-                robot.ask(wish, waiting)
+            while True:
+                wish = device.wish(1.0 / COMMAND_RATE_HZ)
+                robot.ask(wish, waiting)  # also in the look that quits: no stop is lost
+                if wish.quit:
+                    break
                 twist = hand.order(wish, _now(), ready=robot.ready())
                 robot.send(twist)
                 robot.hear()

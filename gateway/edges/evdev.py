@@ -57,7 +57,7 @@ class Gamepad:
             raise GamepadError(f"{words(device)} cannot be opened: {error.strerror}") from None
         try:
             self.pad = Pad(layout, self._usable_axes())
-        except BaseException:
+        except GamepadError:
             self.close()
             raise
 

@@ -166,7 +166,7 @@ class Pad:
     layout: Layout
     axes: dict[int, Axis]
     why: str = ""  # what is held does not count, where that is so
-    lost: bool = False  # events were lost: nothing is heard before `catch_up`
+    lost: bool = False  # events were lost: nothing but a stop is heard before `catch_up`
     _presses: int = 0
     _press: int | None = None
     _stop: bool = False
@@ -206,6 +206,8 @@ class Pad:
 
     def _hear(self, event: InputEvent) -> None:
         kind, code, value = event
+        if kind == EV_KEY and code == self.layout.stop and value == PRESSED:  # true whatever was lost before it
+            self._stop = True
         if self.lost or (kind == EV_SYN and code == SYN_DROPPED):
             self.lost = True
             self._let_go("events of the pad were lost")
@@ -213,8 +215,6 @@ class Pad:
         self._faster += FASTER.get(event, 0)
         if kind == EV_ABS and code in self.axes:
             self.axes[code] = self.axes[code]._replace(value=value)
-        elif kind == EV_KEY and code == self.layout.stop and value == PRESSED:
-            self._stop = True
         elif kind == EV_KEY and code == self.layout.deadman and value == RELEASED:
             self._let_go("")
         elif kind == EV_KEY and code == self.layout.deadman and value == PRESSED:

@@ -6,8 +6,10 @@ On real devices of a real kernel: `tests.vm.test_input_pads`.
 import errno
 import os
 import struct
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -184,3 +186,8 @@ def test_a_pad_that_is_gone(opened: tuple[Gamepad, int], monkeypatch: pytest.Mon
 def test_a_name_is_no_order_to_a_terminal(machine: Machine) -> None:
     machine.plug("pad\x1b[2J", *STICK[1:])
     assert "(pad?[2J, 046d:c215)" in machine.refusal()
+
+
+def test_those_of_a_real_kernel_are_collected_without_the_other_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "evdev", None)  # not for every processor
+    assert "test_the_stop_button_latches" in run_path(str(Path(__file__).parents[1] / "vm" / "test_input_pads.py"))

@@ -320,9 +320,12 @@ def test_pressed_with_a_stick_out_it_does_not_count() -> None:
         assert (found.wish(0.2).press, found.why) == (1, "")
 
 
-def test_a_stop_is_asked_for_once_and_at_once() -> None:
+@pytest.mark.parametrize(
+    "events", [[STOP], [STOP, DROPPED], [DROPPED, STOP]], ids=["alone", "lost behind", "lost before"]
+)
+def test_a_stop_is_asked_for_once_and_at_once(events: list[InputEvent]) -> None:
     found = pad()
-    assert found.hear([STOP, InputEvent(codes.EV_KEY, LAYOUT.stop, 0)], 0.0)
+    assert found.hear([*events, InputEvent(codes.EV_KEY, LAYOUT.stop, 0)], 0.0)
     assert found.wish(0.0).stop
     assert not found.wish(0.1).stop
 
