@@ -65,7 +65,7 @@ ROOMS: dict[str, set[str]] = {
         "replay/sim/sensors",
     },
     "replay/sessions": {"drivers", "ground", "gateway/recording"},
-    "replay/sharing": {"ground", "gateway/recording", "replay/sessions"},
+    "replay/sharing": {"ground", "robot file", "gateway/core", "gateway/recording", "replay/sessions"},
     "replay/compare": {"drivers", "ground", "robot file", "gateway/core", "replay/sessions"},
     "replay/report": {
         *("ground", "gateway/chassis", "robot file", "gateway/core", "replay/sessions", "replay/compare"),

@@ -44,7 +44,7 @@ def check(
     except ConfigError as error:
         _refuse(error, None, json=json)
         raise typer.Exit(EXIT_CONFIG) from None
-    report = None if told.report is None else _warned(told.report, told.config, found.path)
+    report = None if told.report is None or told.config is None else _warned(told.report, told.config, found.path)
     drawn = picture is None or _draw(told.parts.robot, picture)
     if told.problems or report is None or told.config is None:
         _refuse(ConfigError(origin, told.problems), report, json=json)
@@ -61,10 +61,10 @@ def check(
         raise typer.Exit(EXIT_NOT_WRITTEN)
 
 
-def _warned(report: Examination, config: RobotConfig | None, path: Path) -> Examination:
+def _warned(report: Examination, config: RobotConfig, path: Path) -> Examination:
     """With what is not proven of its controllers, and where the robot is called other than its file."""
     unlike = robot_files.unlike(path, report.robot)
-    more = (*([] if config is None else unproven(config)), *([] if unlike is None else [unlike]))
+    more = (*unproven(config), *([] if unlike is None else [unlike]))
     return report._replace(warnings=(*report.warnings, *more))
 
 

@@ -257,13 +257,14 @@ def _write(path: Path, members: dict[str, bytes]) -> None:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
             archive.writestr(name, data)
-    with path.open("xb") as file:
-        os.fchmod(file.fileno(), 0o600)
-        try:
+    file = path.open("xb")
+    try:
+        with file:
+            os.fchmod(file.fileno(), 0o600)
             file.write(buffer.getvalue())
-        except BaseException:
-            path.unlink(missing_ok=True)
-            raise
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def _step_back() -> None:

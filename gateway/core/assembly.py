@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from drivers import DRIVERS
 from drivers.checks import id_conflicts
@@ -26,6 +26,7 @@ from gateway.guess import guess
 from gateway.kinematics.contract import GeometryError, Kinematics
 
 _Made = TypeVar("_Made")
+ORIGIN: Final = "robot file"  # who calls names the file where it knows which
 
 
 class Group(NamedTuple):
@@ -77,7 +78,7 @@ class Assembled(NamedTuple):
     problems: tuple[str, ...]
 
 
-def build(config: RobotConfig, origin: str = "robot file") -> Robot:
+def build(config: RobotConfig, origin: str = ORIGIN) -> Robot:
     """The parts of the robot. Raises ConfigError naming key, value and range of everything that is wrong."""
     robot, problems = assemble(config)
     if robot is None or problems:
@@ -90,12 +91,12 @@ def assemble(config: RobotConfig) -> Assembled:
     motors = config.motors_in_order()
     problems = [f"settings: {one}" for one in problems_of_file(config.settings, config.limits.velocity)]
     kinematics = _made(partial(_kinematics, config.robot), problems)
-    groups = _made(partial(_groups, config, motors, ""), problems)
+    groups = _made(partial(_groups, config, motors), problems)
     if groups is None:
         return Assembled(None, tuple(problems))
-    ports = _made(partial(_ports, config, groups, ""), problems)
+    ports = _made(partial(_ports, config, groups), problems)
     able = _capabilities(groups)
-    loops = _made(partial(_speed_loops, motors, able, ""), problems)
+    loops = _made(partial(_speed_loops, motors, able), problems)
     if kinematics is None or loops is None:
         return Assembled(None, tuple(problems))
     joints = tuple(map(_with_loop, able, loops))
@@ -163,7 +164,7 @@ def problems_of(parts: Parts) -> list[str]:
         found += [one for (bus, name), motors in members.items() for one in _of_group(name, bus, motors, rate)]
     for sensor in parts.sensors.sound:
         if sensor.bus is not None:
-            found += _tried(partial(_sensor_driver, sensor, sensor.bus, ""))
+            found += _tried(partial(_sensor_driver, sensor, sensor.bus))
     return found
 
 
@@ -183,10 +184,10 @@ def _no_driver(motor: Motor) -> list[str]:
 def _of_group(name: str, bus: str, motors: Sequence[Motor], rate: float) -> list[str]:
     """What its driver says of each motor alone; of all together only where that is nothing."""
     known = [motor for motor in motors if not _no_driver(motor)]
-    alone = [one for motor in known for one in _tried(partial(_driver, name, bus, [_spec(motor, rate)], ""))]
+    alone = [one for motor in known for one in _tried(partial(_driver, name, bus, [_spec(motor, rate)]))]
     if alone or not known:
         return alone
-    return _tried(partial(_driver, name, bus, [_spec(motor, rate) for motor in known], ""))
+    return _tried(partial(_driver, name, bus, [_spec(motor, rate) for motor in known]))
 
 
 def _tried(make: Callable[[], object]) -> list[str]:
@@ -198,10 +199,10 @@ def _tried(make: Callable[[], object]) -> list[str]:
 
 def with_motors(robot: Robot, config: RobotConfig) -> Robot:
     """The same robot with the motors of this file, its drivers new. Raises ConfigError."""
-    motors, origin = config.motors_in_order(), "robot file"
-    groups = _groups(config, motors, origin)
+    motors = config.motors_in_order()
+    groups = _groups(config, motors)
     able = _capabilities(groups)
-    loops = _speed_loops(motors, able, origin)
+    loops = _speed_loops(motors, able)
     return robot._replace(
         groups=groups,
         transmissions=tuple(map(_transmission, motors, able)),
@@ -273,13 +274,13 @@ def _pusher(motor: Motor, joint: Capabilities, loop: SpeedLoop | None) -> Pusher
     )
 
 
-def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[Group, ...]:
+def _groups(config: RobotConfig, motors: Sequence[Motor]) -> tuple[Group, ...]:
     members: dict[tuple[str, str], list[int]] = {}
     for index, motor in enumerate(motors):
         members.setdefault((motor.bus, motor.driver), []).append(index)
     rate = config.loop.rate
     groups = tuple(
-        Group(bus, _driver(name, bus, [_spec(motors[index], rate) for index in indices], origin), tuple(indices))
+        Group(bus, _driver(name, bus, [_spec(motors[index], rate) for index in indices]), tuple(indices))
         for (bus, name), indices in members.items()
     )
     conflicts = [
@@ -297,18 +298,18 @@ def _groups(config: RobotConfig, motors: Sequence[Motor], origin: str) -> tuple[
         if item.fd
     ]
     if conflicts:
-        raise ConfigError(origin, conflicts)
+        raise ConfigError(ORIGIN, conflicts)
     return groups
 
 
-def _ports(config: RobotConfig, groups: Sequence[Group], origin: str) -> tuple[Port, ...]:
+def _ports(config: RobotConfig, groups: Sequence[Group]) -> tuple[Port, ...]:
     """Every sensor on a bus; several drivers of one sensor hear the same frames."""
     ports: list[Port] = []
     users: dict[str, dict[tuple[str, int], Sequence[IdUse]]] = {bus.name: {} for bus in config.bus}
     for sensor in config.sensor:
         if sensor.bus is None or sensor.driver is None or sensor.id is None:
             continue
-        port = Port(sensor.name, sensor.bus, _sensor_driver(sensor, sensor.bus, origin))
+        port = Port(sensor.name, sensor.bus, _sensor_driver(sensor, sensor.bus))
         ports.append(port)
         users[sensor.bus].setdefault((sensor.driver, sensor.id), port.driver.ids())
     conflicts = _given_twice(config.sensor)
@@ -316,7 +317,7 @@ def _ports(config: RobotConfig, groups: Sequence[Group], origin: str) -> tuple[P
         motors = [group.driver.ids() for group in groups if group.bus == bus]
         conflicts += [f"bus {bus}: {conflict}" for conflict in id_conflicts([*motors, *found.values()])]
     if conflicts:
-        raise ConfigError(origin, conflicts)
+        raise ConfigError(ORIGIN, conflicts)
     return tuple(ports)
 
 
@@ -332,26 +333,26 @@ def _given_twice(sensors: Sequence[Sensor]) -> list[str]:
     ]
 
 
-def _sensor_driver(sensor: Sensor, bus: str, origin: str) -> SensorDriver:
+def _sensor_driver(sensor: Sensor, bus: str) -> SensorDriver:
     """Raises ConfigError naming the sensor."""
     name, kind = str(sensor.driver), sensor.kind.value
     problem = sensor_problem(name, kind)
     if problem is not None:
-        raise ConfigError(origin, [f"sensor {sensor.name}: {problem}"])
+        raise ConfigError(ORIGIN, [f"sensor {sensor.name}: {problem}"])
     try:
         return SENSORS[name].make(bus, SensorSpec(sensor.name, sensor.id or 0, kind, sensor.rate or 0.0))
     except ValueError as error:
-        raise ConfigError(origin, [str(error)]) from None
+        raise ConfigError(ORIGIN, [str(error)]) from None
 
 
-def _driver(name: str, bus: str, motors: Sequence[MotorSpec], origin: str) -> Driver:
+def _driver(name: str, bus: str, motors: Sequence[MotorSpec]) -> Driver:
     if name not in DRIVERS:
         problem = f"motor {motors[0].name}: driver = {name!r}: unknown; there is {', '.join(sorted(DRIVERS))}"
-        raise ConfigError(origin, [problem + guess(name, sorted(DRIVERS))])
+        raise ConfigError(ORIGIN, [problem + guess(name, sorted(DRIVERS))])
     try:
         return DRIVERS[name](bus, motors)
     except ValueError as error:
-        raise ConfigError(origin, [str(error)]) from None
+        raise ConfigError(ORIGIN, [str(error)]) from None
 
 
 def _spec(motor: Motor, command_rate: float) -> MotorSpec:
@@ -385,12 +386,12 @@ def _speed_loop(motor: Motor) -> SpeedLoop | None:
     return None if gains is None else SpeedLoop(kp=gains.kp, ki=gains.ki, max_torque=motor.max_torque)
 
 
-def _speed_loops(motors: Sequence[Motor], able: Sequence[Capabilities], origin: str) -> tuple[SpeedLoop | None, ...]:
+def _speed_loops(motors: Sequence[Motor], able: Sequence[Capabilities]) -> tuple[SpeedLoop | None, ...]:
     """A host-side speed loop exactly where the controller has none of its own."""
     found = [(motor.name, _loop_problem(controller, motor)) for motor, controller in zip(motors, able, strict=True)]
     problems = [f"motor {name}: {problem}" for name, problem in found if problem is not None]
     if problems:
-        raise ConfigError(origin, problems)
+        raise ConfigError(ORIGIN, problems)
     return tuple(map(_speed_loop, motors))
 
 

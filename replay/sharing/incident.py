@@ -12,6 +12,8 @@ from typing import cast
 
 import msgspec
 
+from gateway.config import ConfigError, parse
+from gateway.core.snapshot import fingerprint
 from gateway.recording.packets import Gap, Record, Snapshot
 from gateway.recording.schema import SCHEMA_VERSION
 from gateway.recording.segment import Segment
@@ -34,6 +36,8 @@ def share(session: Session, path: Path, text: Text) -> None:
     told = _redacted(msgspec.to_builtins(header), text)
     assert isinstance(told, dict)
     robot_file = told["config_text"]
+    if not _drives_alike(header.config_text, robot_file):
+        raise SessionError("what is to be taken out of it is a name in its robot file too: it would not verify without")
     told |= {"config_sha256": sha256(robot_file.encode()).hexdigest(), "sealed": True, "chain": None}
     segment = Segment(path, header=msgspec.convert(told, type(header)), views=None, blueprint=None)
     last = header.first_cycle
@@ -55,6 +59,18 @@ def texts(session: Session) -> Iterator[str]:
     for inputs, outputs in session.cycles():
         for told in (inputs.refusals, inputs.requests, inputs.bus_events, outputs.events, outputs.replies):
             yield from _texts(msgspec.to_builtins(told))
+
+
+def _drives_alike(text: str, shared: str) -> bool:
+    """Whether the core reads the same of both; of one that is read no more nothing can be lost."""
+    try:
+        before = fingerprint(parse(text, "robot file of the session"))
+    except ConfigError:
+        return True
+    try:
+        return fingerprint(parse(shared, "robot file to be shared")) == before
+    except ConfigError:
+        return False
 
 
 def _batches(session: Session) -> Iterator[tuple[list[Record], tuple[int, bytes] | None]]:

@@ -1,5 +1,6 @@
 """What is an incident, what is kept in memory for it, and that nobody ever waits for one."""
 
+import errno
 import os
 import select
 import signal
@@ -469,6 +470,20 @@ def test_its_digest_is_noted_as_long_as_it_is_there(order: Order, tmp_path: Path
     (folder / SUMS).write_text(f"{'0' * 64}  {third.name}\n")
     assert "does not fit SHA256SUMS" in str(open_session(third).problem)
     assert open_session(first).problem is None, "one that is older, or was copied, is not in it"
+
+
+def test_digests_that_cannot_be_rewritten_cost_no_incident(
+    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(_folder: Path, _names: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(bundle, "forget_sums", full)
+    (tmp_path / INCIDENTS).mkdir()
+    (tmp_path / INCIDENTS / "moby-20260921T000000Z-mark-1.rrd").write_bytes(bytes(1_000_000))
+    written = Path(str(kept(into(order, tmp_path, budget=1_000_000)).file))
+    assert left(tmp_path) == [written.name]
+    assert "digests of what was deleted are still noted: [Errno 28] No space left on device" in caplog.text
 
 
 # Days from one to the next (a clock may be wrong), cause, bytes.

@@ -15,7 +15,7 @@ from gateway.recording.bundle import kept
 from gateway.types import Request, RequestKind
 from replay.compare.verify import verify
 from replay.drive.pieces import cut
-from replay.sessions.reader import open_session
+from replay.sessions.reader import SessionError, open_session
 from replay.sharing.incident import share, texts
 from replay.sharing.redaction import GONE, Redaction
 from tests.incidents import MarkedWorld, orders, short, with_snapshots
@@ -206,3 +206,14 @@ def test_a_shared_incident_can_be_drawn_again(incident: Path, tmp_path: Path) ->
     share(open_session(incident), path, redaction().text)
     piece = cut(open_session(path), tmp_path)
     assert verify(open_session(piece.session)).identical
+
+
+@pytest.mark.parametrize("name", ["teleop", "left", "can0", "moby"])
+def test_an_incident_with_a_person_called_as_something_in_its_robot_file_is_not_shared(
+    name: str, incident: Path, tmp_path: Path
+) -> None:
+    """Its frames and commands have those names too: it would verify no more."""
+    path = tmp_path / "shared.rrd"
+    with pytest.raises(SessionError, match="a name in its robot file"):
+        share(open_session(incident), path, Redaction(people={name}, homes=set(), hosts=set()).text)
+    assert not path.exists()
