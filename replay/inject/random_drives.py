@@ -6,7 +6,9 @@ One number makes one drive, the same on every machine. `wild` drives break every
 much and some little; `kind` drives keep the motors able to brake until the end, and end in silence for as long as the
 robot needs to come to rest.
 A robot that lies in FAULT keeps every law without effort: half of the faults are short losses from which it may go on,
-and often all commanders fall silent while it drives.
+often all commanders fall silent while it drives, and what goes wrong often does so soon after a start. Of encoders
+mostly those fail that the geometry depends on. What a robot may forget with time shows in pauses in which nothing at
+all happens, also after somebody has asked it to stand up.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +27,7 @@ from replay.inject import laws
 SECONDS = 16.0
 SILENCE_S = 6.0  # at the end of a kind drive
 ANSWERS_S = 0.3  # until motors are heard
+PAUSE_S = (1.0, 14.0)  # beyond what anything in the robot waits for
 Entry = dict[str, Any]
 
 VALUES: dict[FaultKind, Callable[[Random], float]] = {
@@ -46,6 +49,7 @@ SENSOR_FAULTS = [kind for kind in FaultKind if RULES[kind].target is Target.SENS
 MOST_KINDS = 4  # of faults in one drive of a campaign, besides short losses
 PACES = (0.2, 0.5, 1.1)  # of a campaign: exponents of the longest time in which nothing happens, s
 LOSSES = (FaultKind.POWER_OFF, FaultKind.POWER_CYCLE, FaultKind.CABLE_OUT, FaultKind.BUS_DOWN, FaultKind.LOOP_PAUSE)
+ENCODERS = frozenset({FaultKind.ENCODER_FROZEN, FaultKind.ENCODER_JUMP})
 ONLY_BRIEF = frozenset({FaultKind.PUSH, FaultKind.LOOP_PAUSE})
 KIND_FAULTS = (FaultKind.LOOP_PAUSE, FaultKind.FRAMES_LOST, FaultKind.FRAMES_DELAYED, FaultKind.ENCODER_JUMP)
 KIND_VALUES: dict[FaultKind, Callable[[Random], float]] = {
@@ -82,7 +86,8 @@ def scenario(seed: int, config: RobotConfig, *, can_brake: bool) -> Scenario:
     trouble = chance.choice([0.7, 2.0, 4.0])
     t = ANSWERS_S + 0.5
     while t < lively:
-        entries += _something(chance, config, t, trouble=trouble, can_brake=can_brake)
+        some, t = _something(chance, config, t, trouble=trouble, can_brake=can_brake)
+        entries += some
         t += 10 ** chance.uniform(-1.5, 0.2)
     entries = [entry for entry in entries if entry["t"] < lively]  # what follows a start or a hush may be too late
     if can_brake:
@@ -103,7 +108,8 @@ def happenings(chance: Random, config: RobotConfig, seconds: float) -> list[Entr
     entries: list[Entry] = []
     t = 10 ** chance.uniform(-1.5, longest)
     while t < seconds:
-        entries += _something(chance, config, t, trouble=trouble, can_brake=False, kinds=some)
+        more, t = _something(chance, config, t, trouble=trouble, can_brake=False, kinds=some)
+        entries += more
         t += 10 ** chance.uniform(-1.5, longest)
     return sorted([entry for entry in entries if entry["t"] < seconds], key=lambda at: at["t"])
 
@@ -116,32 +122,57 @@ def _something(
     trouble: float,
     can_brake: bool,
     kinds: Sequence[FaultKind] | None = None,
-) -> list[Entry]:
+) -> tuple[list[Entry], float]:
+    """What happens, and until when nothing else does."""
     happenings = {"command": 6.0, "start": 3.0, "silence": 1.0, "hush": 1.5, "request": 1.0, "fault": trouble}
+    happenings |= {} if can_brake else {"pause": 0.5}
     kind = chance.choices(list(happenings), list(happenings.values()))[0]
+    if kind == "pause":
+        return _pause(chance, config, t)
+    if kind == "start":
+        begun = _start(chance, config, t)
+        broken = not can_brake and chance.random() < 0.3
+        late = [{"t": t + chance.uniform(0.5, 2.0), "fault": _fault(chance, config, kinds)}] if broken else []
+        return [*begun, *late], t
+    return _one(kind, chance, config, t, can_brake=can_brake, kinds=kinds), t
+
+
+def _one(
+    kind: str, chance: Random, config: RobotConfig, t: float, *, can_brake: bool, kinds: Sequence[FaultKind] | None
+) -> list[Entry]:
     if kind == "command":
         return [_command(chance, config, t, still=chance.random() < 0.15)]
-    if kind == "start":  # what most people do when the robot does not move
-        sources = config.commands.source if chance.random() < 0.8 else [chance.choice(config.commands.source)]
-        zeros = [_command(chance, config, t, still=True, source=source.name) for source in sources]
-        reset: list[Entry] = [{"t": t, "request": "reset"}] if chance.random() < 0.8 else []
-        return [
-            *reset,
-            *_upright(config, t),
-            *zeros,
-            _command(chance, config, t + chance.uniform(0.1, 0.5), still=False),
-        ]
     if kind == "silence":
         return [{"t": t, "silence": chance.choice(config.commands.source).name}]
     if kind == "hush":
-        silences: list[Entry] = [{"t": t, "silence": source.name} for source in config.commands.source]
         again = _command(chance, config, t + chance.uniform(0.1, 1.0), still=False)
-        return [*silences, again] if can_brake else [*silences, *_loss_while_braking(chance, t), again]
+        return [*_hush(config, t), again] if can_brake else [*_hush(config, t), *_loss_while_braking(chance, t), again]
     if kind == "request":
         words = ["estop", "reset", "reset", "reference"] if can_brake else ["estop", "reset", "reference", "restart"]
         words += ["stand_up", "stand_up", "let_down", "let_down"] if _upright(config, t) else []
         return [{"t": t, "request": chance.choice(words)}]
     return [{"t": t, "fault": _kind_fault(chance) if can_brake else _fault(chance, config, kinds)}]
+
+
+def _start(chance: Random, config: RobotConfig, t: float) -> list[Entry]:
+    """What most people do when the robot does not move."""
+    sources = config.commands.source if chance.random() < 0.8 else [chance.choice(config.commands.source)]
+    zeros = [_command(chance, config, t, still=True, source=source.name) for source in sources]
+    reset: list[Entry] = [{"t": t, "request": "reset"}] if chance.random() < 0.8 else []
+    return [*reset, *_upright(config, t), *zeros, _command(chance, config, t + chance.uniform(0.1, 0.5), still=False)]
+
+
+def _pause(chance: Random, config: RobotConfig, t: float) -> tuple[list[Entry], float]:
+    """Everybody goes away, and somebody comes back and drives, without asking for anything first; until then."""
+    again = t + chance.uniform(*PAUSE_S)
+    source = chance.choice(config.commands.source).name
+    zero = _command(chance, config, again, still=True, source=source)
+    more = _command(chance, config, again + chance.uniform(0.1, 0.5), still=False, source=source)
+    return [*_hush(config, t), *_upright(config, t), zero, more], again
+
+
+def _hush(config: RobotConfig, t: float) -> list[Entry]:
+    return [{"t": t, "silence": source.name} for source in config.commands.source]
 
 
 def _upright(config: RobotConfig, t: float) -> list[Entry]:
@@ -194,7 +225,9 @@ def _fault(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind] | Non
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
-        fault["motor"] = chance.choice(config.robot.motor_names())
+        names = config.robot.motor_names()
+        steered = [names[index] for index in config.robot.kinematics().steered]
+        fault["motor"] = chance.choice(steered if steered and kind in ENCODERS and chance.random() < 0.7 else names)
     if rule.target is Target.SENSOR:
         fault["sensor"] = chance.choice(sensing)
     if kind in VALUES:
