@@ -107,12 +107,15 @@ swap_environment() {
         # Of one that was killed there may be such a directory, into which this one would be moved.
         [ ! -e "$root.old" ] || { rm -rf "$root.older" && mv "$root.old" "$root.older"; }
         cp "$work/before.tar" "$root/files.tar"
+        ignore_signals
         mv "$root.new" "$root.old"
         exchange "$root.old" "$root"
     else
+        ignore_signals
         mv "$root.new" "$root"
     fi
     swapped=yes
+    heed_signals
 }
 
 # As it was before the swap, however far that came, or before a --rollback.

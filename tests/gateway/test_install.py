@@ -50,6 +50,11 @@ echo . >>{calls}
 [ "$(wc -l <{calls})" != "$FAIL_AT" ] || exit 1
 exec {program} "$@"
 """
+# A program that has put an environment in its place, or taken it back, when whoever called it gets the signal $SIGNAL.
+SIGNALLED = """#!/bin/sh
+{program} "$@" || exit
+case "$*" in *renameat2* | *"drivegate.new "*) [ -z "$SIGNAL" ] || kill -"$SIGNAL" $PPID ;; esac
+"""
 
 
 class Done(NamedTuple):
@@ -89,6 +94,18 @@ class Machine:
         assert found is not None
         self._put_program(program, FAILING.replace("{calls}", str(calls)).replace("{program}", found))
         return {"FAIL_AT": str(call)}
+
+    def signal_at_swap(self, program: str, signal: str) -> dict[str, str]:
+        """The environment in which a swap that is just made by a program is followed by a signal."""
+        own = self.stubs / program
+        found = own.rename(self.stubs / f"own-{program}") if own.exists() else shutil.which(program)
+        self._put_program(program, SIGNALLED.replace("{program}", str(found)))
+        return {"SIGNAL": signal}
+
+    def kinds(self) -> dict[str, str]:
+        """What each environment that is there was set up for."""
+        markers = self.root.glob("opt/*/.drivegate")
+        return {path.parent.name: path.read_text(encoding="utf-8").split("for ")[1].split()[0] for path in markers}
 
     def install(self, *arguments: str, script: str = "install.sh", **environment: str) -> Done:
         """Calls it; with what it says on both outputs."""
@@ -493,6 +510,45 @@ def test_what_fails_in_the_middle_is_taken_back(bare: Machine, program: str, cal
         assert "for robot" in (bare.root / "opt/drivegate/.drivegate").read_text(encoding="utf-8")
     done = bare.install("--for", "desk", "--enable", "moby", FAIL_AT="0")
     assert done.code == 0, done.said
+
+
+@pytest.mark.parametrize(
+    ("program", "before", "signal"),
+    [
+        ("mv", [], "HUP"),
+        ("mv", ["robot"], "INT"),
+        ("python3", ["robot"], "TERM"),
+        ("python3", ["desk", "robot"], "INT"),
+    ],
+)
+def test_a_signal_in_the_middle_of_a_swap_loses_no_environment(
+    bare: Machine, program: str, before: Sequence[str], signal: str
+) -> None:
+    """Whether it ends or goes on, what it then says is so."""
+    for kind in before:
+        assert bare.install("--for", kind).code == 0
+    swap = bare.signal_at_swap(program, signal)
+    done = bare.install("--for", "desk", **swap)
+    assert done.code == 0, done.said
+    now = {"drivegate": "desk", "drivegate.old": "robot"} if before else {"drivegate": "desk"}
+    assert bare.kinds() == now
+    if before:
+        done = bare.install("--rollback", **swap)
+        assert done.code == 0, done.said
+        assert bare.kinds() == {"drivegate": "robot", "drivegate.old": "desk"}
+
+
+@pytest.mark.parametrize("signal", ["INT", "TERM"])
+def test_a_signal_while_it_is_taken_back_leaves_nothing_half_done(bare: Machine, signal: str) -> None:
+    """Such as a second Ctrl-C."""
+    assert bare.install("--enable", "moby").code == 0
+    (bare.units / "drivegate@.service").write_text("of an older version\n", encoding="utf-8")
+    before = bare.tree()
+    done = bare.install("--for", "desk", **bare.signal_at_swap("python3", signal), **bare.fail_at("install", 1))
+    assert done.code == 1, done.said
+    assert "failed; everything is as it was before" in done.said
+    assert bare.tree() == before
+    assert bare.kinds() == {"drivegate": "robot"}
 
 
 def test_what_one_that_was_killed_left_mixes_with_nothing(bare: Machine) -> None:
