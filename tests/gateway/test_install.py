@@ -50,10 +50,11 @@ echo . >>{calls}
 [ "$(wc -l <{calls})" != "$FAIL_AT" ] || exit 1
 exec {program} "$@"
 """
-# A program that has put an environment in its place, or taken it back, when whoever called it gets the signal $SIGNAL.
+# A program that has put an environment in its place, or taken it back, or done what comes next, when whoever called it
+# gets the signal $SIGNAL.
 SIGNALLED = """#!/bin/sh
 {program} "$@" || exit
-case "$*" in *renameat2* | *"drivegate.new "*) [ -z "$SIGNAL" ] || kill -"$SIGNAL" $PPID ;; esac
+case "$*" in *renameat2* | *"drivegate.new "* | *-sfn* | *-xf*) [ -z "$SIGNAL" ] || kill -"$SIGNAL" $PPID ;; esac
 """
 
 
@@ -95,8 +96,8 @@ class Machine:
         self._put_program(program, FAILING.replace("{calls}", str(calls)).replace("{program}", found))
         return {"FAIL_AT": str(call)}
 
-    def signal_at_swap(self, program: str, signal: str) -> dict[str, str]:
-        """The environment in which a swap that is just made by a program is followed by a signal."""
+    def signal_after(self, program: str, signal: str) -> dict[str, str]:
+        """The environment in which what a program does about a swap is followed by a signal."""
         own = self.stubs / program
         found = own.rename(self.stubs / f"own-{program}") if own.exists() else shutil.which(program)
         self._put_program(program, SIGNALLED.replace("{program}", str(found)))
@@ -527,7 +528,7 @@ def test_a_signal_in_the_middle_of_a_swap_loses_no_environment(
     """Whether it ends or goes on, what it then says is so."""
     for kind in before:
         assert bare.install("--for", kind).code == 0
-    swap = bare.signal_at_swap(program, signal)
+    swap = bare.signal_after(program, signal)
     done = bare.install("--for", "desk", **swap)
     assert done.code == 0, done.said
     now = {"drivegate": "desk", "drivegate.old": "robot"} if before else {"drivegate": "desk"}
@@ -538,13 +539,25 @@ def test_a_signal_in_the_middle_of_a_swap_loses_no_environment(
         assert bare.kinds() == {"drivegate": "robot", "drivegate.old": "desk"}
 
 
+@pytest.mark.parametrize(("program", "arguments"), [("ln", ["--for", "desk"]), ("tar", ["--rollback"])])
+def test_a_signal_after_a_swap_takes_it_back(bare: Machine, program: str, arguments: Sequence[str]) -> None:
+    for kind in ("desk", "robot"):
+        assert bare.install("--for", kind).code == 0
+    before = bare.tree()
+    done = bare.install(*arguments, **bare.signal_after(program, "INT"))
+    assert done.code == 130, done.said
+    assert "failed; everything is as it was before" in done.said
+    assert bare.tree() == before
+    assert bare.kinds() == {"drivegate": "robot", "drivegate.old": "desk"}
+
+
 @pytest.mark.parametrize("signal", ["INT", "TERM"])
 def test_a_signal_while_it_is_taken_back_leaves_nothing_half_done(bare: Machine, signal: str) -> None:
     """Such as a second Ctrl-C."""
     assert bare.install("--enable", "moby").code == 0
     (bare.units / "drivegate@.service").write_text("of an older version\n", encoding="utf-8")
     before = bare.tree()
-    done = bare.install("--for", "desk", **bare.signal_at_swap("python3", signal), **bare.fail_at("install", 1))
+    done = bare.install("--for", "desk", **bare.signal_after("python3", signal), **bare.fail_at("install", 1))
     assert done.code == 1, done.said
     assert "failed; everything is as it was before" in done.said
     assert bare.tree() == before
