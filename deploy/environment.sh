@@ -88,7 +88,7 @@ explain_pip() {
         *"No space left"*) why="the disk is full ($room MB are left of it)" ;;
         *"No matching distribution"* | *"ResolutionImpossible"* | *"NewConnectionError"* | *"NameResolution"* | *"timed out"*)
             why="a package could not be had: is there a network? Without one, see \"Without a network\" in deploy/README.md"
-            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py, for this computer"
+            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py --for $kind, for this computer"
             ;;
         *) why="pip failed" ;;
     esac
