@@ -69,24 +69,26 @@ build_environment() {
 }
 
 pip_install() {
-    set -- --quiet --disable-pip-version-check --no-compile -c "$here/constraints.txt"
+    set -- --disable-pip-version-check --no-compile -c "$here/constraints.txt"
     [ -z "$wheels" ] || set -- "$@" --no-index --find-links "$wheels"
     case $kind in
         client) CC=none && export CC && set -- "$@" "$source" ;; # it has no use for a core that is fast
         *) set -- "$@" "${source}[$kind]" ;;
     esac
-    TMPDIR="$root.new.tmp" "$root.new/bin/pip" install "$@" 2>"$work/pip"
+    TMPDIR="$root.new.tmp" "$root.new/bin/pip" install "$@" >"$work/pip.out" 2>"$work/pip"
 }
 
-# What of pip's words a person needs, and what to do.
+# What of pip's words a person needs, and what to do. Which package is missing of those that have a fixed version, it only
+# tells at length.
 explain_pip() {
+    sed -n '/^The conflict is caused by/,/^$/p' "$work/pip.out" >&2
     grep -v "^WARNING: " "$work/pip" | tail -5 >&2
     room=$(df -Pm "$(dirname "$root")" | awk 'NR == 2 { print $4 }')
     case $(cat "$work/pip") in
         *"No space left"*) why="the disk is full ($room MB are left of it)" ;;
-        *"No matching distribution"* | *"NewConnectionError"* | *"NameResolution"* | *"timed out"*)
+        *"No matching distribution"* | *"ResolutionImpossible"* | *"NewConnectionError"* | *"NameResolution"* | *"timed out"*)
             why="a package could not be had: is there a network? Without one, see \"Without a network\" in deploy/README.md"
-            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py, for this computer"
+            [ -z "$wheels" ] || why="$wheels lacks a package: make it again with deploy/wheelhouse.py --for $kind, for this computer"
             ;;
         *) why="pip failed" ;;
     esac
@@ -107,12 +109,15 @@ swap_environment() {
         # Of one that was killed there may be such a directory, into which this one would be moved.
         [ ! -e "$root.old" ] || { rm -rf "$root.older" && mv "$root.old" "$root.older"; }
         cp "$work/before.tar" "$root/files.tar"
+        ignore_signals
         mv "$root.new" "$root.old"
         exchange "$root.old" "$root"
     else
+        ignore_signals
         mv "$root.new" "$root"
     fi
     swapped=yes
+    heed_signals
 }
 
 # As it was before the swap, however far that came, or before a --rollback.

@@ -307,9 +307,18 @@ take_back() {
     xargs -r -d '\n' rm -f <"$work/new_files"
 }
 
+# A signal ends it by way of `finish`. None does between a swap and its being noted, which would not be taken back then.
+heed_signals() {
+    trap 'exit 130' INT
+    trap 'exit 143' TERM HUP
+}
+
+ignore_signals() { trap '' INT TERM HUP; }
+
 finish() {
     code=$?
-    trap - EXIT INT TERM HUP
+    trap - EXIT
+    ignore_signals # such as a second Ctrl-C
     set +e
     if [ "$code" != 0 ] && [ "$changing" = yes ]; then
         (set -e && take_back)
@@ -338,8 +347,10 @@ roll_back() {
     changing=yes
     stop_robots
     cp "$work/before.tar" "$root/files.tar"
+    ignore_signals
     exchange "$root.old" "$root"
     swapped=yes
+    heed_signals
     restore_files "$root/files.tar"
     changing=no
     say "back at $("$root/bin/python" -I -c "$VERSION"), with its units; once more --rollback goes forward again"
@@ -369,8 +380,7 @@ changing=no
 swapped=no
 stopped=
 trap finish EXIT
-trap 'exit 130' INT
-trap 'exit 143' TERM HUP
+heed_signals
 touch "$work/wanted" "$work/new_files" "$work/changed" "$work/channels"
 refuse_while_moving
 check_words

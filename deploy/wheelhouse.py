@@ -30,7 +30,7 @@ def main() -> int:
     wanted = list(packages(asked.kind))
     with tempfile.TemporaryDirectory(prefix="drivegate-wheelhouse-") as directory:
         venv.create(directory, with_pip=True, symlinks=True)
-        options = ["--disable-pip-version-check", "--quiet", "-c", str(HERE / "constraints.txt")]
+        options = ["--disable-pip-version-check", "-c", str(HERE / "constraints.txt")]
         options += ["--only-binary=:all:", "--implementation=cp", f"--python-version={asked.python}"]
         options += [f"--platform={one}" for one in platforms(asked.machine)]
         pip = [f"{directory}/bin/python", "-m", "pip", "download", *options, "--dest", str(asked.dir), *wanted]

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Sets up a test environment in .venv and runs everything: style, types, tests in both forms, the virtual-machine
 # lanes, the lane that wants the same bytes from another processor, the report page in a real browser, the documentation
-# with every command in it, and the experiments of the papers in full.
+# with its commands, and the experiments of the papers in full.
 set -eu
 cd "$(dirname "$0")/.."
 . deploy/venv.sh

@@ -20,7 +20,7 @@ from replay.sim.plants.contract import PlantName
 def whatif(  # noqa: PLR0913, PLR0917  # a command line: each parameter is an option with a name
     session: Annotated[Path, typer.Argument(help="Session folder, or one .rrd file.")],
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting, e.g. compensation.gain=2.5.")
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting, e.g. compensation_gain=2.5.")
     ] = None,
     robot_file: Annotated[Path | None, typer.Option(help="Another robot file.")] = None,
     begin: Annotated[float, typer.Option("--from", help="s since the first recorded cycle.")] = 0.0,

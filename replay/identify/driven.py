@@ -54,7 +54,7 @@ def recorded(session: Session) -> Drive:
         first = first or inputs
         cycles += 1
         commands += inputs.commands
-        requests += [one for one in inputs.requests if one.kind is not RequestKind.SHUTDOWN]
+        requests += inputs.requests
         sensed = sensed or bool(inputs.samples)
     if first is None:
         raise SessionError(f"{session.path}: it has no cycles")

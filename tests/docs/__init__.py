@@ -1,1 +1,1 @@
-"""The documentation site: built from `deploy/docs`, its links followed, and every command in it run."""
+"""The documentation site: built from `deploy/docs`, its links followed, its commands run where that can be."""

@@ -1,8 +1,8 @@
 """The documentation, strictly and offline: `python -m tests.docs [--keep DIR] [site pages robots looks]`.
 
 `site`: it is built, its links and those of the README lead somewhere, it loads nothing from elsewhere, and the commands
-that it names are there. `pages`: every block of every page is run. `robots`: what is kept of three robots at a terminal
-is what comes out. `looks`: every page in Debian's Chromium.
+that it names are there. `pages`: the blocks of every page are run, but for those that name a test which covers them.
+`robots`: what is kept of three robots at a terminal is what comes out. `looks`: every page in Debian's Chromium.
 """
 
 import argparse

@@ -1,11 +1,12 @@
-"""Runs every block of a page, in order, in a directory of its own: `python -m tests.docs.running PAGE`.
+"""Runs the blocks of a page, in order, in a directory of its own: `python -m tests.docs.running PAGE`.
 
 How this works
 --------------
-Each block is a shell of its own, as a person would have it who pastes the block, with `drivegate` on the path. A block
-with a terminal of its own goes on while the others run, and gets a Ctrl-C at the end of the page; the next block begins
-once the robot that it runs answers. All of it has its own network where the machine allows that, with nothing in it but
-loopback, so that the usual port is free and a page cannot ask for anything outside.
+A block that a test covers is left out. Each other one is a shell of its own, as a person would have it who pastes the
+block, with `drivegate` on the path. A block with a terminal of its own goes on while the others run, and gets a Ctrl-C
+at the end of the page; the next block begins once the robot that it runs answers. All of it has its own network where
+the machine allows that, with nothing in it but loopback, so that the usual port is free and a page cannot ask for
+anything outside.
 """
 
 import os

@@ -48,6 +48,19 @@ def test_the_newest_entry_of_the_changelog_is_this_version() -> None:
     assert newest[1] == version
 
 
+def test_the_readme_tells_developers_every_room_and_every_lane() -> None:
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Developers\n")[2].partition("\n## ")[0]
+    told = set()
+    for line in section.splitlines():  # "`gateway/a/`, `b/`" is two rooms of gateway
+        if found := re.match(r"\| `(gateway|replay)/\w.*?\|", line):
+            told |= {f"{found[1]}/{room}" for room in re.findall(r"`(?:\w+/)?(\w+)/`", found[0])}
+    rooms = {str(path.parent.relative_to(ROOT)) for top in ("gateway", "replay") for path in ROOT.glob(f"{top}/*/*.py")}
+    assert told == rooms
+    lanes = re.findall(r"-m (tests[.\w]*)", (ROOT / "tests/run.sh").read_text(encoding="utf-8"))
+    assert lanes
+    assert [lane for lane in lanes if not re.search(rf"^\| `python -m {re.escape(lane)}[ `]", section, re.M)] == []
+
+
 def test_what_is_made_from_the_code_is_all_of_it() -> None:
     said = generated.command_line()
     assert all(f"### drivegate {command}" in said for command in COMMANDS)

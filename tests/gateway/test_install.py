@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from itertools import permutations
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import ZipFile
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import gateway
 from tests.world import ROBOTS
@@ -27,18 +29,30 @@ OTHER_CHANNEL = CLASSIC.replace("can0", "can1")
 # the environment of the tests stays there.
 PYTHON = """#!/bin/sh
 [ "$1" != -I ] || shift
-case $1 in *.whl/pip) exit 0 ;; *drop_viewer.py) touch "$(dirname "$0")/../without-viewer" && exit 0 ;; esac
+case $1 in
+    *.whl/pip)
+        cp {stubs}/environment-pip "$(dirname "$0")/pip"
+        PIP_FAILS= exec {stubs}/environment-pip "$@"
+        ;;
+    *drop_viewer.py) touch "$(dirname "$0")/../without-viewer" && exit 0 ;;
+esac
 PYTHONPATH={packages} exec {python} "$@"
 """
-# A python3 that makes such an environment, whose pip fails with the words in $PIP_FAILS, if there are any.
+# Its pip: fails with the words in $PIP_FAILS, if there are any, after those in $PIP_SAYS; has nothing but what is in
+# $ONLY_FROM, if that is set.
+PIP = """#!/bin/sh
+[ -z "$PIP_FAILS" ] || {{ echo "$PIP_SAYS"; echo "$PIP_FAILS" >&2; exit 1; }}
+case "$*" in *"--no-index --find-links $ONLY_FROM"*) ;; *) [ -z "$ONLY_FROM" ] ;; esac
+"""
+# A python3 that makes such an environment; one with pip, as packages, only where there is a network.
 SYSTEM_PYTHON = """#!/bin/sh
 case "$*" in
     "-m venv "*)
+        [ "$3" = --without-pip ] || [ -z "$ONLY_FROM" ] || exit 1
         for last in "$@"; do :; done
         mkdir -p "$last/bin" "$last/lib"
         cp {stubs}/environment-python "$last/bin/python"
-        printf '#!/bin/sh\\n[ -z "$PIP_FAILS" ] || {{ echo "$PIP_FAILS" >&2; exit 1; }}\\n' >"$last/bin/pip"
-        chmod +x "$last/bin/pip"
+        [ "$3" = --without-pip ] || cp {stubs}/environment-pip "$last/bin/pip"
         ;;
     *base_prefix*) echo /usr ;;
     *) exec {python} "$@" ;;
@@ -49,6 +63,12 @@ FAILING = """#!/bin/sh
 echo . >>{calls}
 [ "$(wc -l <{calls})" != "$FAIL_AT" ] || exit 1
 exec {program} "$@"
+"""
+# A program that has put an environment in its place, or taken it back, or done what comes next, when whoever called it
+# gets the signal $SIGNAL.
+SIGNALLED = """#!/bin/sh
+{program} "$@" || exit
+case "$*" in *renameat2* | *"drivegate.new "* | *-sfn* | *-xf*) [ -z "$SIGNAL" ] || kill -"$SIGNAL" $PPID ;; esac
 """
 
 
@@ -67,7 +87,9 @@ class Machine:
         self.stubs = folder / "stubs"
         self.stubs.mkdir(parents=True)
         self._put_program("environment-python", PYTHON)
+        self._put_program("environment-pip", PIP)
         self._put_program("python3", SYSTEM_PYTHON)
+        self._put_program("apt-get", "#!/bin/sh\nexit 1\n")
         self.config = self.root / "etc/drivegate"
         self.config.mkdir(parents=True)
         self.networks = self.root / "etc/systemd/network"
@@ -89,6 +111,18 @@ class Machine:
         assert found is not None
         self._put_program(program, FAILING.replace("{calls}", str(calls)).replace("{program}", found))
         return {"FAIL_AT": str(call)}
+
+    def signal_after(self, program: str, signal: str) -> dict[str, str]:
+        """The environment in which what a program does about a swap is followed by a signal."""
+        own = self.stubs / program
+        found = own.rename(self.stubs / f"own-{program}") if own.exists() else shutil.which(program)
+        self._put_program(program, SIGNALLED.replace("{program}", str(found)))
+        return {"SIGNAL": signal}
+
+    def kinds(self) -> dict[str, str]:
+        """What each environment that is there was set up for."""
+        markers = self.root.glob("opt/*/.drivegate")
+        return {path.parent.name: path.read_text(encoding="utf-8").split("for ")[1].split()[0] for path in markers}
 
     def install(self, *arguments: str, script: str = "install.sh", **environment: str) -> Done:
         """Calls it; with what it says on both outputs."""
@@ -418,6 +452,40 @@ def test_what_pip_cannot_do_is_said_and_the_environment_stays(
     assert bare.files(place.parent) == ["drivegate"]
 
 
+def test_it_is_said_which_package_a_wheelhouse_lacks(bare: Machine) -> None:
+    (bare.stubs / "pip-1.whl").touch()
+    conflict = "The conflict is caused by:\n    drivegate[robot] depends on numpy>=2.0\n    numpy==2.4.6\n"
+    done = bare.install(
+        *("--wheelhouse", str(bare.stubs)),
+        PIP_SAYS=f"Collecting\n\n{conflict}\nTo fix this you could try",
+        PIP_FAILS="ERROR: ResolutionImpossible: for help",
+    )
+    assert done.code == 1
+    assert conflict in done.said
+    assert "lacks a package: make it again with deploy/wheelhouse.py --for robot, for this computer" in done.said
+    assert "Collecting" not in done.said
+    assert "To fix" not in done.said
+
+
+def test_without_a_network_all_comes_from_the_wheelhouse(
+    bare: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is python3-venv needed, whose absence ends an installation without one."""
+    wheels = tmp_path / "wheelhouse"
+    wheels.mkdir()
+    monkeypatch.chdir(tmp_path)
+    for arguments, said in (([], "python3-venv is missing"), (["--wheelhouse", "wheelhouse"], "has no pip-*.whl")):
+        done = bare.install(*arguments, ONLY_FROM=str(wheels))
+        assert done.code == 1
+        assert said in done.said
+        assert "nothing was changed" in done.said
+    (wheels / "pip-1.whl").touch()
+    done = bare.install("--wheelhouse", "wheelhouse", ONLY_FROM=str(wheels))
+    assert done.code == 0, done.said
+    assert bare.kinds() == {"drivegate": "robot"}
+    assert "MB in" in done.said
+
+
 def test_a_python_that_is_too_old(bare: Machine) -> None:
     (bare.stubs / "python3").write_text('#!/bin/sh\n[ "$1" = -V ] && echo Python 3.9.2\nexit 1\n', encoding="utf-8")
     before = bare.tree()
@@ -495,6 +563,57 @@ def test_what_fails_in_the_middle_is_taken_back(bare: Machine, program: str, cal
     assert done.code == 0, done.said
 
 
+@pytest.mark.parametrize(
+    ("program", "before", "signal"),
+    [
+        ("mv", [], "HUP"),
+        ("mv", ["robot"], "INT"),
+        ("python3", ["robot"], "TERM"),
+        ("python3", ["desk", "robot"], "INT"),
+    ],
+)
+def test_a_signal_in_the_middle_of_a_swap_loses_no_environment(
+    bare: Machine, program: str, before: Sequence[str], signal: str
+) -> None:
+    """Whether it ends or goes on, what it then says is so."""
+    for kind in before:
+        assert bare.install("--for", kind).code == 0
+    swap = bare.signal_after(program, signal)
+    done = bare.install("--for", "desk", **swap)
+    assert done.code == 0, done.said
+    now = {"drivegate": "desk", "drivegate.old": "robot"} if before else {"drivegate": "desk"}
+    assert bare.kinds() == now
+    if before:
+        done = bare.install("--rollback", **swap)
+        assert done.code == 0, done.said
+        assert bare.kinds() == {"drivegate": "robot", "drivegate.old": "desk"}
+
+
+@pytest.mark.parametrize(("program", "arguments"), [("ln", ["--for", "desk"]), ("tar", ["--rollback"])])
+def test_a_signal_after_a_swap_takes_it_back(bare: Machine, program: str, arguments: Sequence[str]) -> None:
+    for kind in ("desk", "robot"):
+        assert bare.install("--for", kind).code == 0
+    before = bare.tree()
+    done = bare.install(*arguments, **bare.signal_after(program, "INT"))
+    assert done.code == 130, done.said
+    assert "failed; everything is as it was before" in done.said
+    assert bare.tree() == before
+    assert bare.kinds() == {"drivegate": "robot", "drivegate.old": "desk"}
+
+
+@pytest.mark.parametrize("signal", ["INT", "TERM"])
+def test_a_signal_while_it_is_taken_back_leaves_nothing_half_done(bare: Machine, signal: str) -> None:
+    """Such as a second Ctrl-C."""
+    assert bare.install("--enable", "moby").code == 0
+    (bare.units / "drivegate@.service").write_text("of an older version\n", encoding="utf-8")
+    before = bare.tree()
+    done = bare.install("--for", "desk", **bare.signal_after("python3", signal), **bare.fail_at("install", 1))
+    assert done.code == 1, done.said
+    assert "failed; everything is as it was before" in done.said
+    assert bare.tree() == before
+    assert bare.kinds() == {"drivegate": "robot"}
+
+
 def test_what_one_that_was_killed_left_mixes_with_nothing(bare: Machine) -> None:
     """The environment for --rollback is the same after a failure, though an older one still lies beside it."""
     for kind in ("robot", "desk"):
@@ -543,3 +662,56 @@ def test_a_wheelhouse_has_what_is_run_and_what_builds_it() -> None:
     assert {"rerun-sdk", "python-can"} <= robot - client
     assert {"scipy", "mcap"} <= desk - robot
     assert "manylinux_2_28_aarch64" in told["platforms"]("aarch64")
+
+
+def put_wheel(folder: Path, name: str, tag: str = "py3-none-any", needs: str = "") -> None:
+    """A package with nothing in it, of the version that we want."""
+    lines = (DEPLOY / "constraints.txt").read_text(encoding="utf-8").split()
+    pinned = {canonicalize_name(line.partition("==")[0]): line.partition("==")[2] for line in lines}
+    version = pinned.get(canonicalize_name(name), "99")
+    stem = f"{name.replace('-', '_')}-{version}"
+    told = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    with ZipFile(folder / f"{stem}-{tag}.whl", "w") as wheel:
+        wheel.writestr(f"{stem}.dist-info/METADATA", told + (f"Requires-Dist: {needs}\n" if needs else ""))
+        wheel.writestr(f"{stem}.dist-info/WHEEL", f"Wheel-Version: 1.0\nTag: {tag}\n")
+
+
+def test_a_wheelhouse_for_another_computer_is_collected_whole(tmp_path: Path) -> None:
+    """By pip itself, from a folder instead of an index."""
+    told = runpy.run_path(str(DEPLOY / "wheelhouse.py"))
+    names = {Requirement(one).name for one in told["packages"]("robot")}
+    index = tmp_path / "index"
+    index.mkdir()
+    for name in names - {"numpy", "rich"}:
+        put_wheel(index, name)
+    put_wheel(index, "rich", needs="pygments")
+    put_wheel(index, "pygments")
+    ours = f"cp3{sys.version_info.minor}"
+    for other in ("cp399-cp399-manylinux_2_28_x86_64", f"{ours}-{ours}-manylinux_2_28_aarch64"):
+        put_wheel(index, "numpy", other)
+
+    def collect() -> Done:
+        script = [str(DEPLOY / "wheelhouse.py"), "wheelhouse", "--machine", "aarch64", "--python", "3.99"]
+        done = subprocess.run(
+            [sys.executable, *script],
+            cwd=tmp_path,
+            env=os.environ | {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(index)},
+            check=False,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        return Done(done.returncode, done.stdout)
+
+    done = collect()
+    assert done.code == 1
+    assert "(constraint) numpy==" in done.said
+    assert "wheelhouse is not complete: see above" in done.said
+    put_wheel(index, "numpy", "cp399-cp399-manylinux_2_28_aarch64")
+    done = collect()
+    assert done.code == 0, done.said
+    assert f"{len(names) + 1} packages, 0 MB, for a robot with Python 3.99 on aarch64." in done.said
+    assert "sudo sh deploy/install.sh --for robot --wheelhouse wheelhouse" in done.said
+    found = {path.name.split("-")[0].replace("_", "-"): path.name for path in (tmp_path / "wheelhouse").iterdir()}
+    assert set(found) == names | {"pygments"}
+    assert found["numpy"].endswith("-cp399-cp399-manylinux_2_28_aarch64.whl")

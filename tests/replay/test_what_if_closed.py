@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from gateway.cli.app import build
 from gateway.config import parse
-from gateway.types import Outputs, Twist
+from gateway.types import Outputs, RequestKind, Twist
 from replay.compare.what_if import WhatIfError
 from replay.identify.closed import ClosedLoopWhatIf, Sides
 from replay.identify.identify import identify
@@ -178,6 +178,21 @@ def test_the_command_refuses_in_words(omni: Driven, words: Sequence[object], sai
     assert done.exit_code == 2
     assert said in " ".join(done.output.split())
     assert "Traceback" not in done.output
+
+
+def test_a_drive_that_the_end_of_the_service_stopped_is_reproduced(tmp_path: Path) -> None:
+    """As by Ctrl-C: the robot is told to come to rest there too."""
+    world = World("omni4", rate_hz=100.0)
+    world.start()
+    world.run(1.5, Twist(0.3, 0.1, 0.0))
+    world.request(RequestKind.SHUTDOWN)
+    world.run(1.5)
+    folder = write_drive(tmp_path, world, batch=50, snapshots=True)
+    known = _file(values_of(world.config.robot))
+    question = ClosedLoopWhatIf(open_session(folder), known, {"acceleration_override": 0.5})
+    assert list(question.steps())
+    assert question.reproduced.reasons == ()
+    assert question.reproduced.modes_redriven == ("starting", "drive", "stopping", "idle")
 
 
 def test_a_session_without_its_beginning_is_refused(tmp_path: Path) -> None:
