@@ -25,13 +25,8 @@ NEEDED = "from gateway.build import COMPILED, ROOT; import sys; sys.exit(not COM
 
 def main(arguments: Sequence[str]) -> int:
     """0 if everything passes and both forms agree."""
-    missing = packages.missing(TOOLS)
-    if missing and os.geteuid() == 0:
-        sys.stdout.write(f"installing {' '.join(missing)}\n")
-        packages.install(missing)
-    missing = packages.missing(TOOLS)
-    if missing:
-        sys.stdout.write(f"cannot run, as root: apt-get install {' '.join(missing)}\n")
+    if lacking := packages.lacking(TOOLS):
+        sys.stdout.write(f"{lacking}\n")
         return 1
     with tempfile.TemporaryDirectory(prefix="drivegate-compiled-") as directory:
         tree = unpacked_wheel(Path(directory))

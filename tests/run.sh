@@ -13,6 +13,7 @@ make_venv .venv
 .venv/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal "$@"
 .venv/bin/python -m tests.compiled -q --numprocesses auto --maxprocesses 4 --dist worksteal
 .venv/bin/python -m tests.vm
+.venv/bin/python -m tests.vm.power_cut 2
 .venv/bin/python -m tests.equality
 .venv/bin/python -m tests.browser
 .venv/bin/python -m tests.docs

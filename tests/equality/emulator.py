@@ -94,13 +94,8 @@ def python() -> Python:
 
 
 def _have(tools: Mapping[str, str]) -> None:
-    missing = packages.missing(tools)
-    if missing and os.geteuid() == 0:
-        sys.stdout.write(f"installing {' '.join(missing)}\n")
-        packages.install(missing)
-        missing = packages.missing(tools)
-    if missing:
-        raise EmulatorError(f"cannot run, as root: apt-get install {' '.join(missing)}")
+    if lacking := packages.lacking(tools):
+        raise EmulatorError(lacking)
 
 
 def _cache() -> Path:

@@ -1,7 +1,6 @@
 """Runs the tests that need a CAN kernel (lane vcan), a booted systemd (systemd) or input devices (input)."""
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -36,28 +35,19 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _install(lanes: Sequence[str]) -> int:
-    missing = sorted({package for lane in lanes for package in _still_missing(lane)})
-    sys.stdout.write(f"missing: {', '.join(missing) or 'nothing'}\n")
-    return 1 if missing else 0
+    lacking = packages.lacking({tool: package for lane in lanes for tool, package in tools(lane).items()})
+    sys.stdout.write(f"{lacking or 'nothing is missing'}\n")
+    return 0 if lacking is None else 1
 
 
 def _result(lane: str, arguments: argparse.Namespace) -> Result:
-    missing = _still_missing(lane)
-    if missing:
-        return Result(lane, passed=False, text=f"cannot run, as root: apt-get install {' '.join(missing)}")
+    lacking = packages.lacking(tools(lane))
+    if lacking is not None:
+        return Result(lane, passed=False, text=lacking)
     failure = boot_failure() if in_machine(lane) else None
     if failure is not None:
         return Result(lane, passed=False, text=failure)
     return run_lane(lane, pytest_arguments=arguments.pytest, limit_s=arguments.limit, keep=arguments.keep)
-
-
-def _still_missing(lane: str) -> list[str]:
-    """Packages this lane lacks; as root they are installed first."""
-    missing = packages.missing(tools(lane))
-    if missing and os.geteuid() == 0:
-        sys.stdout.write(f"installing {' '.join(missing)}\n")
-        packages.install(missing)
-    return packages.missing(tools(lane))
 
 
 if __name__ == "__main__":

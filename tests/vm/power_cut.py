@@ -4,7 +4,8 @@ A machine boots, makes a file system on a disk that is its own, records to it, a
 its kernel had not written is lost with it. Then the disk is looked at from outside, after the repair that every boot
 begins with, and the loss is told: what had been handed to the recorder and cannot be read.
 
-What the disk itself holds in a cache of its own is not lost here. Needs User-Mode Linux and e2fsprogs.
+What the disk itself holds in a cache of its own is not lost here. How much is lost is told and not judged: on a busy
+machine the recorder may come to write late.
 """
 
 import os
@@ -103,6 +104,9 @@ def _tool(*command: str, allowed: tuple[int, ...] = (0,)) -> None:
 def main() -> int:
     """0 if every session was readable, with nothing amiss but its end."""
     cuts = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    if lacking := packages.lacking(packages.POWER_TOOLS):
+        sys.stdout.write(f"{lacking}\n")
+        return 1
     generator = random.Random(1)
     found = [cut(generator.uniform(SHORTEST_S, LONGEST_S)) for _ in range(cuts)]
     lost = [seconds for seconds, _ in found]
