@@ -19,8 +19,8 @@ from gateway.setup.renaming import (
     KINDS,
     IdWatch,
     RenamingError,
+    RestWatch,
     RollCall,
-    check_at_rest,
     check_free,
     named,
     way,
@@ -73,10 +73,11 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
 def _over_can(
     place: Place, driver: str, how: RenamingOverCan, *, say: Say, to: int | None, serial: str | None, yes: bool
 ) -> dict[str, object]:
-    census, call = Census(), RollCall(how)
+    census, rest, call = Census(), RestWatch(driver), RollCall(how)
 
     def take(frame: CanFrame) -> None:
         census.take([frame])
+        rest.take(frame)
         call.take(frame)
 
     listen(place, ROLL_S, take, questions=_Again(lambda: how.ask(place.name)))
@@ -89,7 +90,7 @@ def _over_can(
     one = call.chosen(serial)
     found = [found for found in census.report(ROLL_S).found if found.driver == driver]
     check_free(call.ids, found, one, to)
-    check_at_rest(found, one)
+    rest.check(one)
     allow(
         f"{named(one)}: gets id {to}, keeps it and starts anew. What it does by itself at a start (calibration, closed "
         "loop) it will do: lift the robot so that no wheel touches the ground, and keep hands and cables away.",

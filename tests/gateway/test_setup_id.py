@@ -14,15 +14,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import DRIVERS
-from drivers.contract import Identity, RenamingOverCan
+from drivers.contract import CanFrame, Identity, RenamingOverCan
 from gateway.cli.app import build
 from gateway.config import parse
 from gateway.edges.claims import Claims, InUseError
-from gateway.setup.renaming import KINDS, IdWatch, RenamingError, way
+from gateway.setup.renaming import KINDS, IdWatch, RenamingError, RestWatch, way
 from replay.sim.controllers.odrive import SimulatedODrive
 from tests.drivers.rig import can_frame
 from tests.gateway.test_setup_inputs import CHANNEL, Terminal, Told, simulated
-from tests.jogging import Bench
+from tests.jogging import MS, Bench
 from tests.setup_robots import TRUE, wronged
 from tests.world import robot_text
 
@@ -106,6 +106,38 @@ def test_one_that_drives_is_not_started_anew() -> None:
     found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{front.serial:X}", "--yes")[1]
     assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
     assert (front.node, other.node) == (0, 0)
+
+
+@pytest.mark.parametrize("late_ms", [0, 3, 30, 70])
+@pytest.mark.parametrize("armed", [0, 1])
+def test_nor_where_either_of_two_of_one_id_drives(armed: int, late_ms: int) -> None:
+    """Whichever of them was heard last."""
+    bench, *both = fresh()
+    for _, clock in both[1]._clocks:
+        clock.due_ns += late_ms * MS
+    bench.wait(0.05)
+    both[armed].axis.request(8)
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", "--yes")[1]
+    assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
+    assert [(device.node, device.axis.state) for device in both] == [(0, 8 if at == armed else 1) for at in (0, 1)]
+
+
+def test_nor_where_somebody_commands_it() -> None:
+    """From another computer, whose claims are not seen here."""
+    bench, *both = fresh()
+    bench.bus.babble("can0", CanFrame("can0", 0x00D, bytes(8)), rate_hz=50.0)
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", "--yes")[1]
+    assert "is commanded by somebody: let it go first" in str(found["reason"])
+    assert [device.node for device in both] == [0, 0]
+
+
+def test_nor_where_it_does_not_tell_its_state() -> None:
+    watch = RestWatch("odrive")
+    with pytest.raises(RenamingError, match="does not tell"):
+        watch.check(Identity(SERIAL, 0))
+    watch.check(Identity(SERIAL, None))
+    watch.take(can_frame("001#0000000001000000"))
+    watch.check(Identity(SERIAL, 0))
 
 
 def test_one_that_does_not_take_it_is_told() -> None:
