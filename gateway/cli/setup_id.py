@@ -27,6 +27,7 @@ from gateway.setup.renaming import (
 )
 
 ROLL_S = 2.0
+REST_S = 0.5  # of heartbeats, which come every 0.1 s
 ASK_EVERY_S = 0.6  # answers are spread over that time
 CONFIRM_S = 3.0
 RESTART_S = 1.5  # without a question: what is saved and started anew
@@ -98,15 +99,18 @@ def _over_can(
         yes=yes,
     )
     refuse_where_commanded(place.interface, place.channel)  # somebody may have started one meanwhile
-    _give(place, how, one, to)
+    _give(place, driver, how, one, to)
     say(f"serial {one.serial:012X} has id {to}, also after a restart")
     return {"ok": True, "serial": f"{one.serial:012X}", "from": one.id, "to": to}
 
 
-def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
-    """Raises RenamingError where it does not say so itself, before it is kept and after; InUseError."""
+def _give(place: Place, driver: str, how: RenamingOverCan, one: Identity, to: int) -> None:
+    """Raises RenamingError where it drives by now, or does not say its id before it is kept and after; InUseError."""
+    rest = RestWatch(driver)
     claims = Claims(place.interface, place.channel, [how.claim(at) for at in (one.id, to) if at is not None])
     try:
+        listen(place, REST_S, rest.take)
+        rest.check(one)
         _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
         _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
     finally:

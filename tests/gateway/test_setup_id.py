@@ -140,6 +140,28 @@ def test_nor_where_it_does_not_tell_its_state() -> None:
     watch.check(Identity(SERIAL, 0))
 
 
+@pytest.mark.parametrize("armed", [0, 1])
+def test_one_that_is_armed_before_the_yes_is_left_alone(armed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, *both = fresh()
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: both[armed].axis.request(8))
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}")[1]
+    assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
+    assert [(device.node, device.axis.state) for device in both] == [(0, 8 if at == armed else 1) for at in (0, 1)]
+    assert all(frame.remote for _, frame in bench.sent)
+
+
+def test_a_gateway_that_began_before_the_yes_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever it commands there."""
+    bench, *both = fresh()
+    claims: list[Claims] = []
+    begin = lambda *_, **__: claims.append(Claims("socketcan", "began_id", [0x7FF]))  # noqa: E731
+    monkeypatch.setattr("gateway.cli.setup_id.allow", begin)
+    with pytest.raises(InUseError):
+        called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", channel="began_id")
+    claims[0].release()
+    assert [device.node for device in both] == [0, 0]
+
+
 def test_one_that_does_not_take_it_is_told() -> None:
     bench, one, _ = fresh()
     one._handlers.pop(6)
@@ -182,14 +204,16 @@ def test_a_gateway_on_the_bus_is_left_alone() -> None:
     assert bench.sent == []
 
 
-def test_no_gateway_begins_while_an_id_is_given() -> None:
-    """It would drive what is then started anew."""
+def test_no_gateway_begins_while_an_id_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the yes on: it would drive what is then started anew."""
     bench, _, _ = fresh()
+    allowed: list[bool] = []
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: allowed.append(True))
     free: dict[int, list[bool]] = {0x007: [], 0x0E7: []}
 
     def begin(bench: Bench) -> None:
         for identifier, found in free.items():
-            if not bench.sent or bench.sent[-1][1].remote:
+            if not allowed:
                 continue
             try:
                 Claims("socketcan", "renamed", [identifier]).release()
