@@ -227,9 +227,10 @@ class Preparing:
         for motor in motors:
             errors.print(f"{motor.name} calibrates itself now.", highlight=False, markup=False)
             outcome = self._turned(motor)
-            if not outcome.ok:
+            if not outcome.well:
+                ended = "calibrated, but not saved" if outcome.ok else f"not calibrated: {outcome.reason}"
                 held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
-                raise PrepareError(f"{motor.name}: not calibrated: {outcome.reason}{held}")
+                raise PrepareError(f"{motor.name}: {ended}{held}")
             with to_ourselves([motor], self.config):
                 self._save(motor)
         with to_ourselves(self.motors, self.config):

@@ -55,6 +55,11 @@ class Outcome(NamedTuple):
     reason: str
     released: bool
 
+    @property
+    def well(self) -> bool:
+        """Whether it may be saved, and the next one begin."""
+        return self.ok and self.released
+
 
 class Calibration:
     """For `gateway.edges.turning`: `step` once per cycle until `finished`."""

@@ -69,6 +69,7 @@ def armed(device: SimulatedODrive) -> None:
 def test_it_ends_calibrated_and_released() -> None:
     tried = Tried()
     assert tried.outcome == Outcome(ok=True, reason="", released=True)
+    assert tried.outcome.well
     assert all(tried.device.axis.parameters[name] for name in CALIBRATED)
     assert tried.furthest > 0.1
 
@@ -106,6 +107,15 @@ def test_whatever_is_not_right_lets_the_motor_go(
     if tried.device.plugged:
         assert tried.state == 1
         assert tried.furthest < 4.0
+
+
+def test_one_that_is_armed_at_its_end_did_not_end_well() -> None:
+    def arm(device: SimulatedODrive, _: Calibration) -> None:
+        device.receive = lambda *_: ()  # type: ignore[method-assign]
+        device.axis.request(8)
+
+    outcome = Tried(during(Phase.END, arm)).outcome
+    assert (outcome, outcome.well) == (Outcome(ok=True, reason="", released=False), False)
 
 
 def test_too_far_is_the_end() -> None:

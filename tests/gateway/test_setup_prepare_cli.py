@@ -11,6 +11,7 @@ from typer.testing import Result
 from gateway.config import load
 from gateway.edges.claims import Claims
 from gateway.edges.turning import turn
+from gateway.setup.calibrating import Calibration, Outcome
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.vesc import SimulatedVesc
@@ -338,6 +339,27 @@ def test_ctrl_c_late_in_a_calibration_is_heeded(stand: Callable[..., Stand], mon
     result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
     assert (result.exit_code, "signal 2" in reason(result)) == (1, True)
     assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    device = odrives(one)["front"]
+    device.power_cycle()
+    assert not device.axis.parameters[CALIBRATED[0]]
+
+
+def test_one_that_is_not_released_is_not_saved(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saving would restart it, whatever drives it; and no other motor turns."""
+
+    def turned(_: object, procedure: Calibration, *rest: object, period_ns: int) -> None:
+        turn(_, procedure, *rest, period_ns=period_ns)  # type: ignore[arg-type]
+        assert procedure.outcome == Outcome(ok=True, reason="", released=True)
+        procedure.outcome = procedure.outcome._replace(released=False)
+
+    monkeypatch.setattr("gateway.cli.preparing.turn", turned)
+    one = stand("kiwi")
+    for device in odrives(one).values():
+        set_wrong(device, dict.fromkeys(CALIBRATED, 0.0))
+    result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
+    assert result.exit_code == 1
+    assert "front: calibrated, but not saved; it did not confirm that it is released: cut its power" in reason(result)
+    assert one.plant.angles[1:] == (0.0, 0.0)
     device = odrives(one)["front"]
     device.power_cycle()
     assert not device.axis.parameters[CALIBRATED[0]]
