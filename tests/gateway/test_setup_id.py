@@ -98,14 +98,17 @@ def test_nor_from_one_that_tells_no_serial() -> None:
     assert one.node == 0
 
 
-def test_one_that_drives_is_not_started_anew() -> None:
+def test_one_that_drives_is_not_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nobody is asked."""
+    asked: list[object] = []
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: asked.append(1))
     bench, _, other = fresh()
     bench.bus.remove_twin("front")
     front = cast("SimulatedODrive", bench.bus.robot.devices["front"])
     front.axis.request(8)
-    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{front.serial:X}", "--yes")[1]
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{front.serial:X}")[1]
     assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
-    assert (front.node, other.node) == (0, 0)
+    assert (front.node, other.node, asked) == (0, 0, [])
 
 
 @pytest.mark.parametrize("late_ms", [0, 3, 30, 70])

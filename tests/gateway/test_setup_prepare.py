@@ -1,0 +1,249 @@
+"""`drivegate setup prepare` in virtual time: whatever happens meanwhile, nothing is set or turned that must not be."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from functools import partial
+from io import StringIO
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+import typer
+
+from drivers.contract import CanFrame
+from gateway.cli import preparing
+from gateway.cli.app import build
+from gateway.config import RobotConfig, parse
+from gateway.edges.claims import Claims, InUseError
+from gateway.edges.listening import Place
+from gateway.edges.turning import turn
+from gateway.setup.calibrating import Calibration
+from replay.sim.controllers.odrive import SimulatedODrive
+from replay.sim.controllers.odrive_parameters import CALIBRATED, ENCODER_MS
+from replay.sim.controllers.odrive_tables import Command
+from tests.gateway.test_setup_inputs import Buses, Terminal
+from tests.jogging import Bench
+from tests.setup_robots import kiwi
+
+CHANNEL = f"can{os.getpid()}"  # claims are of the whole computer
+READ = 0  # of RxSdo
+NOBODY: Callable[..., object] = lambda _gone: ()  # noqa: E731  # a default is one line
+Disturb = Callable[[], None]
+
+
+class Prepared:
+    """A kiwi on a stand, and the file that a person has of it. `disturb`: called in every cycle of the bus."""
+
+    def __init__(self, directory: Path, text: str = kiwi()) -> None:
+        self.bench = Bench(parse(text, "true"))
+        self.file = directory / "kiwi.toml"
+        self.file.write_text(text.replace('channel = "can', f'channel = "{CHANNEL}_'))
+        self.flat = directory / "flat_endpoints.json"
+        self.flat.write_text(json.dumps(self["front"].flat_endpoints()))
+        self.disturb: Disturb = lambda: None
+        self.said = ""
+
+    def __getitem__(self, name: str) -> SimulatedODrive:
+        device = self.bench.bus.robot.devices[name]
+        assert isinstance(device, SimulatedODrive)
+        return device
+
+    @property
+    def devices(self) -> dict[str, SimulatedODrive]:
+        return {name: self[name] for name in self.bench.bus.robot.devices}
+
+    @property
+    def moved(self) -> bool:
+        return any(angle != 0.0 for angle in self.bench.plant.angles)
+
+    def put(self, values: dict[str, float], *names: str) -> None:
+        """Saved in these, or in all."""
+        for name in names or self.devices:
+            self[name].axis.parameters.put(values)
+            self[name].axis.parameters.save()
+
+    def __call__(
+        self, *options: str, typed: Sequence[str] = (), terminal: bool = False
+    ) -> tuple[int, dict[str, object]]:
+        """Its exit code, and what it tells a program."""
+        out, err, code = StringIO(), StringIO(), 1
+        arguments = ["setup", "prepare", str(self.file), *options, "--endpoints", str(self.flat), "--json"]
+        with (
+            patch.object(preparing, "listen", self._listen),
+            patch.object(preparing, "CanBuses", self._opened),
+            patch.object(preparing, "turn", self._turn),
+            patch.object(sys, "stdin", Terminal(typed, terminal=terminal)),
+            redirect_stdout(out),
+            redirect_stderr(err),
+            suppress(typer.Exit),
+        ):
+            code = build("setup")([*arguments, "--seconds", "1"], standalone_mode=False) or 0
+        self.said = err.getvalue()
+        return code, json.loads(out.getvalue())
+
+    def _listen(
+        self, place: Place, seconds: float, take: Callable[[CanFrame], None], **more: Callable[..., object]
+    ) -> dict[str, int]:
+        bus, begin_ns = f"can{place.channel.rpartition('_')[2]}", self.bench.now_ns
+        while (gone := (self.bench.now_ns - begin_ns) * 1e-9) < seconds and more.get("going_on", lambda: True)():
+            self.bench.send([frame._replace(bus=bus) for frame in more.get("questions", NOBODY)(gone)])  # type: ignore[attr-defined]
+            self.disturb()
+            for frame in self.bench.cycle():
+                if frame.bus == bus:
+                    take(frame)
+        return {}
+
+    def _opened(self, _config: RobotConfig) -> Buses:
+        return Buses(self.bench, lambda _: self.disturb())
+
+    def _turn(self, buses: Buses, procedure: Calibration, *rest: object, period_ns: int) -> None:
+        def sleep(seconds: float) -> None:
+            self.bench.now_ns += max(1, round(seconds * 1e9))
+
+        loop = partial(turn, clock=lambda: self.bench.now_ns, sleep=sleep, period_ns=period_ns)
+        loop(buses, procedure, *rest)  # type: ignore[arg-type]
+
+
+def sdos(one: Prepared) -> list[CanFrame]:
+    return [frame for _, frame in one.bench.sent if frame.id & 0x1F == Command.RX_SDO_06]
+
+
+# -- whose bus it is --------------------------------------------------------------------------------------------------
+
+
+def test_no_gateway_begins_meanwhile(tmp_path: Path) -> None:
+    """It would drive what is then started anew."""
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0})
+    found: set[bool] = set()
+    identifiers = [device.node << 5 | 0x07 for device in one.devices.values()]
+
+    def begin() -> None:
+        for identifier in identifiers:
+            try:
+                Claims("socketcan", f"{CHANNEL}_0", [identifier]).release()
+                found.add(True)
+            except InUseError:
+                found.add(False)
+
+    one.disturb = begin
+    code, told = one("--yes")
+    assert (code, told["ok"]) == (0, True)
+    assert found == {False}
+    Claims("socketcan", f"{CHANNEL}_0", identifiers).release()
+
+
+def test_a_gateway_that_began_before_a_calibration_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it commands there."""
+    one = Prepared(tmp_path)
+    one("--yes")
+    one.put(dict.fromkeys(CALIBRATED, 0.0))
+    claims: list[Claims] = []
+    begin = lambda *_, **__: claims.append(Claims("socketcan", f"{CHANNEL}_0", [0x7FF]))  # noqa: E731
+    monkeypatch.setattr("gateway.cli.preparing.allow", begin)
+    with pytest.raises(InUseError):
+        one("--calibrate")
+    claims[0].release()
+    assert not one.moved
+
+
+def test_where_two_share_an_id_nothing_is_asked(tmp_path: Path) -> None:
+    """Both would take what is written."""
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0}, "front")
+    one.bench.bus.add_twin("front", 1.0)
+    code, told = one("--yes")
+    assert (code, "nothing was asked and nothing is set" in str(told["reason"])) == (1, True)
+    assert "can0: " in str(told["reason"])
+    assert sdos(one) == []
+
+
+# -- what is set ------------------------------------------------------------------------------------------------------
+
+
+def test_of_one_that_falls_silent_half_way_nothing_is_set(tmp_path: Path) -> None:
+    """Who else talks to it, that it does not hear us?"""
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0}, "front")
+
+    def silent() -> None:
+        one["front"].answers_sdo = len(sdos(one)) < 5
+
+    one.disturb = silent
+    code, told = one("front", "--yes")
+    assert (code, told["changed"]) == (1, [])
+    found = {(line["what"], line["found"]) for line in told["lines"]}  # type: ignore[attr-defined]
+    assert (ENCODER_MS, "10") in found  # it was read
+    assert "does not answer RxSdo" in {words for _, words in found}
+    assert {frame.data[0] for frame in sdos(one)} == {READ}
+    assert one["front"].axis.parameters[ENCODER_MS] == 10.0
+
+
+def test_where_one_is_armed_none_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0})
+    one["rear_left"].axis.request(8)
+    asked: list[object] = []
+    monkeypatch.setattr("gateway.cli.preparing.allow", lambda *_, **__: asked.append(1))
+    code, told = one()
+    assert (code, told["reason"]) == (1, "rear_left: not idle, or nobody hears it: nothing is set")
+    assert asked == []
+    assert {device.axis.parameters[ENCODER_MS] for device in one.devices.values()} == {10.0}
+    assert one["rear_left"].axis.state == 8
+
+
+# -- what turns -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("typed", "terminal"), [(("no",), True), (("",), True), (("y",), True), ((), True), (("yes",), False)]
+)
+def test_without_a_yes_none_calibrates(tmp_path: Path, typed: tuple[str, ...], terminal: bool) -> None:
+    one = Prepared(tmp_path)
+    one("--yes")
+    one.put(dict.fromkeys(CALIBRATED, 0.0))
+    before = one.file.read_text()
+    code, _ = one("--calibrate", typed=typed, terminal=terminal)
+    assert (code, "Lift the robot" in one.said) == (1, True)
+    assert [frame for _, frame in one.bench.sent if frame.id & 0x1F == Command.SET_AXIS_STATE] == []
+    assert not one.moved
+    assert one.file.read_text() == before
+
+
+def test_a_yes_to_what_is_set_is_none_to_turning(tmp_path: Path) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0} | dict.fromkeys(CALIBRATED, 0.0))
+    code, _ = one("--calibrate", typed=("yes", "yes", "no"), terminal=True)
+    assert one["front"].axis.parameters[ENCODER_MS] == 4.0
+    assert (code, one.moved, "nobody let it happen" in one.said) == (1, False, True)
+    assert one("--calibrate", typed=("yes",), terminal=True)[0] == 0
+    assert one.moved
+
+
+def test_a_gateway_that_began_while_it_turned_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saving would restart what it drives by now."""
+    one = Prepared(tmp_path)
+    one("--yes")
+    one.put(dict.fromkeys(CALIBRATED, 0.0), "front")
+    claims: list[Claims] = []
+    begin = lambda _: claims.append(Claims("socketcan", f"{CHANNEL}_0", [0x7FF]))  # noqa: E731
+    monkeypatch.setattr(Buses, "close", begin)
+    with pytest.raises(InUseError):
+        one("front", "--yes", "--calibrate")
+    claims[0].release()
+    assert one["front"].axis.parameters[CALIBRATED[0]] == 1.0
+    one["front"].power_cycle()
+    assert one["front"].axis.parameters[CALIBRATED[0]] == 0.0
+
+
+def test_one_that_does_not_come_back_is_told(tmp_path: Path) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0}, "front")
+    one["front"]._handlers[Command.REBOOT] = (0, lambda _data: one["front"].power_off())
+    code, told = one("--yes")
+    assert (code, told["reason"]) == (1, "front: was not seen to restart within 10 s: is it saved?")
