@@ -21,8 +21,8 @@ from gateway.edges.claims import Claims, InUseError
 from gateway.edges.listening import Place
 from gateway.edges.turning import turn
 from gateway.setup.calibrating import Calibration
-from replay.sim.controllers.odrive import SimulatedODrive
-from replay.sim.controllers.odrive_parameters import CALIBRATED, ENCODER_MS
+from replay.sim.controllers.odrive import BOOT_NS, SimulatedODrive
+from replay.sim.controllers.odrive_parameters import BAUD_RATE, CALIBRATED, ENABLE_WATCHDOG, ENCODER_MS
 from replay.sim.controllers.odrive_tables import Command
 from tests.gateway.test_setup_inputs import Buses, Terminal
 from tests.jogging import Bench
@@ -163,6 +163,16 @@ def test_where_two_share_an_id_nothing_is_asked(tmp_path: Path) -> None:
     assert sdos(one) == []
 
 
+def test_one_that_is_armed_before_the_yes_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0})
+    monkeypatch.setattr("gateway.cli.preparing.allow", lambda *_, **__: one["front"].axis.request(8))
+    code, told = one()
+    assert (code, told["reason"]) == (1, "front: not idle any more: nothing more is set")
+    assert {frame.data[0] for frame in sdos(one)} == {READ}
+    assert one["front"].axis.state == 8
+
+
 # -- what is set ------------------------------------------------------------------------------------------------------
 
 
@@ -195,6 +205,181 @@ def test_where_one_is_armed_none_is_set(tmp_path: Path, monkeypatch: pytest.Monk
     assert asked == []
     assert {device.axis.parameters[ENCODER_MS] for device in one.devices.values()} == {10.0}
     assert one["rear_left"].axis.state == 8
+
+
+# -- another bit rate -------------------------------------------------------------------------------------------------
+
+OLD, NEW = 250_000, 1_000_000
+
+
+def link(one: Prepared, rate: int, *names: str) -> None:
+    """Somebody gives the links of these this bit rate, or all."""
+    for name in names or one.devices:
+        one[name].setup = one[name].setup._replace(bitrate=rate)
+
+
+def slow(directory: Path, text: str = kiwi(), *names: str) -> Prepared:
+    """A robot on which these, or all, have the bit rate from the factory, and so have their links."""
+    one = Prepared(directory, text)
+    link(one, OLD, *names)
+    one.put({BAUD_RATE: OLD, ENCODER_MS: 10.0}, *names)
+    for name in names or one.devices:
+        one[name].power_cycle()
+    return one
+
+
+def verdicts(told: dict[str, object]) -> dict[tuple[str, str], str]:
+    return {(line["motor"], line["what"]): line["verdict"] for line in told["lines"]}  # type: ignore[attr-defined]
+
+
+def test_what_cannot_be_looked_at_before_the_link_is_set_is_unknown(tmp_path: Path) -> None:
+    one = slow(tmp_path)
+    one.put({ENCODER_MS: 4.0}, "rear_left")
+    one["rear_left"].power_cycle()
+    code, told = one("--yes")
+    assert (code, told["ok"]) == (0, True)
+    assert f"can0: its controllers restart with {NEW} bit/s: set {CHANNEL}_0 so" in one.said
+    found = verdicts(told)
+    for name in one.devices:
+        assert {found[name, what] for what in (BAUD_RATE, ENABLE_WATCHDOG)} == {"unknown"}
+    assert {found["front", what] for what in (ENCODER_MS, "Get_Encoder_Estimates")} == {"unknown"}
+    assert found["rear_left", ENCODER_MS] == "ok"
+    link(one, NEW)
+    code, told = one()
+    assert (code, told["changed"], set(verdicts(told).values())) == (0, [], {"ok"})
+
+
+def test_all_restart_before_one_of_them_is_back(tmp_path: Path) -> None:
+    """With its new bit rate it disturbs those that have the old one."""
+    one = slow(tmp_path)
+    one("--yes")
+    back = [device._booted_ns for device in one.devices.values()]
+    assert min(back) > one.bench.now_ns - 10**9
+    assert max(back) - min(back) < BOOT_NS / 2
+
+
+def test_none_calibrates_before_the_link_is_set(tmp_path: Path) -> None:
+    one = slow(tmp_path)
+    one.put(dict.fromkeys(CALIBRATED, 0.0), "front", "rear_left")
+    code, told = one("--yes", "--calibrate")
+    words = f"front, rear_left: not calibrated: can0: its controllers restart with {NEW} bit/s: set {CHANNEL}_0 so"
+    assert (code, words in str(told["reason"])) == (1, True)
+    assert f"`ip link set {CHANNEL}_0 up type can bitrate {NEW} restart-ms 100`" in str(told["reason"])
+    assert "Lift the robot" not in one.said
+    link(one, NEW)
+    assert not one.moved
+    assert one("--yes", "--calibrate")[0] == 0
+    assert one.moved
+
+
+BUS = """[[bus]]
+name = "can1"
+interface = "socketcan"
+channel = "can1"
+bitrate = 1_000_000
+
+[commands]"""
+
+
+def test_the_other_bus_is_looked_at_anew(tmp_path: Path) -> None:
+    """And nothing of it calibrates meanwhile."""
+    text = (
+        kiwi()
+        .replace("[commands]", BUS)
+        .replace('name = "rear_left"\nbus = "can0"', 'name = "rear_left"\nbus = "can1"')
+    )
+    one = slow(tmp_path, text, "front", "rear_right")
+    one.put({ENCODER_MS: 10.0} | dict.fromkeys(CALIBRATED, 0.0), "rear_left")
+    one.put(dict.fromkeys(CALIBRATED, 0.0), "front")
+    code, told = one("--yes")
+    found = verdicts(told)
+    assert [found[name, ENCODER_MS] for name in ("front", "rear_left", "rear_right")] == ["unknown", "ok", "unknown"]
+    assert list(dict.fromkeys(motor for motor, _ in found)) == ["front", "rear_left", "rear_right"]
+    assert code == 1  # not calibrated
+    link(one, OLD, "front", "rear_right")
+    one = slow(tmp_path, text, "front", "rear_right")
+    one.put(dict.fromkeys(CALIBRATED, 0.0), "front", "rear_left")
+    code, told = one("--yes", "--calibrate")
+    assert (code, str(told["reason"]).startswith("front: not calibrated: can0")) == (1, True)
+    assert not one.moved
+
+
+def test_one_that_has_it_already_restarts_with_the_others(tmp_path: Path) -> None:
+    """It would stay where it is until somebody switches it off."""
+    one = slow(tmp_path)
+    one["front"].axis.parameters.put({BAUD_RATE: NEW})
+    assert one("--yes")[0] == 0
+    link(one, NEW)
+    one.bench.wait(1.0)
+    assert all(device.acknowledges for device in one.devices.values())
+
+
+@pytest.mark.parametrize("mute", ["powered", "answers_sdo"])
+def test_where_one_would_keep_the_old_one_none_gets_another(tmp_path: Path, mute: str) -> None:
+    """The bus would be dead for all, once it is switched on."""
+    one = slow(tmp_path)
+    setattr(one["rear_left"], mute, False)
+    code, told = one("--yes")
+    words = "can0: another bit rate goes to all of its motors at once, and rear_left would keep this one: "
+    assert (code, str(told["reason"]).startswith(words)) == (1, True)
+    assert {frame.data[0] for frame in sdos(one)} == {READ}
+
+
+@pytest.mark.parametrize("powered", [True, False])
+def test_one_that_is_not_set_over_can_is_first(tmp_path: Path, powered: bool) -> None:
+    """By hand; from then on it is not heard."""
+    before, last = kiwi().rsplit("[[motor]]", 1)
+    last = last.replace('"0.6"', '"0.5"').replace(
+        "watchdog = { timeout = 0.1 }", 'watchdog_waiver = "its timeout was set over USB"'
+    )
+    text = "".join(f"{line}\n" for line in f"{before}[[motor]]{last}".splitlines())
+    text = text[: text.rindex("options = ")]
+    one = Prepared(tmp_path, text)
+    link(one, OLD)
+    one.put({BAUD_RATE: OLD}, "front", "rear_left")
+    one["front"].power_cycle()
+    one["rear_left"].power_cycle()
+    one["rear_right"].powered = powered
+    one["rear_right"]._baud_rate = OLD
+    _, told = one("--yes")
+    assert ("rear_right would keep this one" in str(told.get("reason"))) is powered
+    assert ("restart with" in one.said) is not powered
+
+
+def arm(device: SimulatedODrive, now_ns: int) -> None:
+    """By somebody who feeds its watchdog."""
+    device.axis.request(8)
+    device.axis.feed_watchdog(now_ns)
+
+
+def test_where_one_is_armed_before_they_restart_none_does(tmp_path: Path) -> None:
+    one = slow(tmp_path)
+
+    def late() -> None:
+        if all(device.axis.parameters[BAUD_RATE] == NEW for device in one.devices.values()):
+            arm(one["rear_right"], one.bench.now_ns)
+
+    one.disturb = late
+    code, told = one("--yes")
+    assert (code, told["reason"]) == (1, "rear_right: not idle any more: nothing more is set")
+    assert one["rear_right"].axis.state == 8
+    for device in one.devices.values():
+        device.power_cycle()
+        assert device.axis.parameters[BAUD_RATE] == OLD
+
+
+def test_where_one_that_has_it_already_is_armed_none_gets_another(tmp_path: Path) -> None:
+    """It would be let go."""
+    one = Prepared(tmp_path)
+    one("--yes")
+    link(one, OLD)
+    one.put({BAUD_RATE: OLD}, "rear_left", "rear_right")
+    for device in one.devices.values():
+        device._baud_rate = OLD
+    one.disturb = lambda: arm(one["front"], one.bench.now_ns)
+    code, told = one("--yes")
+    assert (code, told["reason"]) == (1, "front: not idle, or nobody hears it: nothing is set")
+    assert one["rear_left"].axis.parameters[BAUD_RATE] == OLD
 
 
 # -- what turns -------------------------------------------------------------------------------------------------------
