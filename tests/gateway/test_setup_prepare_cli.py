@@ -1,7 +1,6 @@
 """`drivegate setup prepare` on simulated controllers in real time: found wrong, set, read back, saved, found right."""
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from gateway.setup.calibrating import Calibration, Outcome
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.vesc import SimulatedVesc
-from tests.gateway.test_setup_cli import Stand, called, document
 from tests.setup_robots import TRUE
+from tests.setup_stand import Stand, called, document, stands
 from tests.world import robot_text
 
 ENCODER_MS = "axis0.config.can.encoder_msg_rate_ms"
@@ -27,15 +26,8 @@ FROM_THE_FACTORY = {ENCODER_MS: 10.0, ENABLE: 0.0, TIMEOUT: 0.0, "axis0.config.s
 
 @pytest.fixture
 def stand(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Stand]]:
-    made: list[Stand] = []
-
-    def make(name: str, wrong: Callable[[str], str] = str) -> Stand:
-        made.append(Stand(tmp_path, f"{os.getpid()}_{request.node.name}"[:40], name, wrong))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    with stands(tmp_path, request.node.name) as make:
+        yield make
 
 
 def odrives(one: Stand) -> dict[str, SimulatedODrive]:
