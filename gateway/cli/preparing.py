@@ -15,6 +15,7 @@ from gateway.cli.setup_jog import warning
 from gateway.config import Bus, Motor, RobotConfig, load
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import Claims, refuse_where_commanded
+from gateway.edges.host_checks import set_anew
 from gateway.edges.listening import Place, listen
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
@@ -345,9 +346,7 @@ def _place(bus: Bus) -> Place:
 
 def _set_link(bus: Bus) -> str:
     """What a person has to do before these controllers are heard again."""
-    link = f"ip link set {bus.channel}"
-    by = f"`{link} down`, `{link} up type can bitrate {bus.bitrate} restart-ms 100`"
-    return f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: set {bus.channel} so ({by}), run it again"
+    return f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: `{set_anew(bus)}`, then run this again"
 
 
 def _said(one: Setting) -> str:

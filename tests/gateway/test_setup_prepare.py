@@ -238,7 +238,7 @@ def test_what_cannot_be_looked_at_before_the_link_is_set_is_unknown(tmp_path: Pa
     one["rear_left"].power_cycle()
     code, told = one("--yes")
     assert (code, told["ok"]) == (0, True)
-    assert f"can0: its controllers restart with {NEW} bit/s: set {CHANNEL}_0 so" in one.said
+    assert f"can0: its controllers restart with {NEW} bit/s: `ip link set {CHANNEL}_0 down; " in one.said
     found = verdicts(told)
     for name in one.devices:
         assert {found[name, what] for what in (BAUD_RATE, ENABLE_WATCHDOG)} == {"unknown"}
@@ -262,9 +262,9 @@ def test_none_calibrates_before_the_link_is_set(tmp_path: Path) -> None:
     one = slow(tmp_path)
     one.put(dict.fromkeys(CALIBRATED, 0.0), "front", "rear_left")
     code, told = one("--yes", "--calibrate")
-    words = f"front, rear_left: not calibrated: can0: its controllers restart with {NEW} bit/s: set {CHANNEL}_0 so"
-    assert (code, words in str(told["reason"])) == (1, True)
-    assert f"`ip link set {CHANNEL}_0 up type can bitrate {NEW} restart-ms 100`" in str(told["reason"])
+    words = f"front, rear_left: not calibrated: can0: its controllers restart with {NEW} bit/s: "
+    link_words = f"`ip link set {CHANNEL}_0 down; ip link set {CHANNEL}_0 up type can bitrate {NEW} restart-ms 100`"
+    assert (code, f"{words}{link_words}, then" in str(told["reason"])) == (1, True)
     assert "Lift the robot" not in one.said
     link(one, NEW)
     assert not one.moved

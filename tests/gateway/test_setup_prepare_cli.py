@@ -223,7 +223,7 @@ def test_another_bit_rate_comes_last_and_to_all_of_a_bus(stand: Callable[..., St
     assert (alone.exit_code, "another bit rate goes to all of its motors at once" in reason(alone)) == (1, True)
     assert odrives(one)["front"].axis.parameters[BAUD_RATE] == 250_000.0
     result = prepared(one, "--endpoints", flat, "--yes")
-    assert "restart with 1000000 bit/s: set" in result.stderr
+    assert "restart with 1000000 bit/s: `ip link set" in result.stderr
     assert rows(result)["front", BAUD_RATE][2] == "unknown"
     for device in odrives(one).values():
         device.setup = device.setup._replace(bitrate=1_000_000)  # somebody set the link
