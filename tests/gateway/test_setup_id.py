@@ -170,6 +170,7 @@ def test_one_that_does_not_take_it_is_told() -> None:
     one._handlers.pop(6)
     found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{one.serial:X}", "--yes")[1]
     assert "tells id 0 instead of 7" in str(found["reason"])
+    assert [frame for _, frame in bench.sent if frame.id & 0x1F == 0x16] == []  # nobody starts anew
 
 
 def test_one_that_forgets_it_is_told() -> None:
@@ -232,6 +233,19 @@ def test_no_gateway_begins_while_an_id_is_given(monkeypatch: pytest.MonkeyPatch)
     Claims("socketcan", "renamed", free).release()
 
 
+def test_one_that_still_knew_it_before_it_started_anew_is_told() -> None:
+    bench, one, _ = fresh()
+    told_ns: list[int] = []
+    one._handlers[0x16] = (0, lambda _data: told_ns.append(bench.now_ns))
+
+    def forget(bench: Bench) -> None:
+        if told_ns and bench.now_ns > told_ns[0] + 300 * MS:
+            one.power_cycle()
+
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{one.serial:X}", "--yes", disturb=forget)[1]
+    assert "tells id 0 instead of 7" in str(found["reason"])
+
+
 # -- by hand ----------------------------------------------------------------------------------------------------------
 
 BY_HAND = {
@@ -282,6 +296,14 @@ def test_one_frame_is_no_id() -> None:
     watch = IdWatch("dji", "c620")
     watch.begin()
     watch.take(can_frame("205#1000F1F0F99A2900", received_ns=1))
+    assert watch.ids() == frozenset()
+
+
+def test_what_somebody_sends_to_an_id_is_not_heard_from_it() -> None:
+    watch = IdWatch("vesc", "vesc")
+    watch.begin()
+    for at in range(1, 9):
+        watch.take(can_frame("00000009#00000000", received_ns=at))  # duty of id 9
     assert watch.ids() == frozenset()
 
 

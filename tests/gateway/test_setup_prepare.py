@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
@@ -20,12 +21,12 @@ from gateway.config import RobotConfig, parse
 from gateway.edges.claims import Claims, InUseError
 from gateway.edges.listening import Place
 from gateway.edges.turning import turn
-from gateway.setup.calibrating import Calibration
+from gateway.setup.calibrating import FULL_CALIBRATION, Calibration
 from replay.sim.controllers.odrive import BOOT_NS, SimulatedODrive
 from replay.sim.controllers.odrive_parameters import BAUD_RATE, CALIBRATED, ENABLE_WATCHDOG, ENCODER_MS
 from replay.sim.controllers.odrive_tables import Command
 from tests.gateway.test_setup_inputs import Buses, Terminal
-from tests.jogging import Bench
+from tests.jogging import MS, Bench
 from tests.setup_robots import kiwi
 
 CHANNEL = f"can{os.getpid()}"  # claims are of the whole computer
@@ -136,6 +137,30 @@ def test_no_gateway_begins_meanwhile(tmp_path: Path) -> None:
     Claims("socketcan", f"{CHANNEL}_0", identifiers).release()
 
 
+BUS = """[[bus]]
+name = "can1"
+interface = "socketcan"
+channel = "can1"
+bitrate = 1_000_000
+
+[commands]"""
+
+
+def on_two_buses() -> str:
+    """Rear left is alone on the second one."""
+    text = kiwi().replace("[commands]", BUS)
+    return text.replace('name = "rear_left"\nbus = "can0"', 'name = "rear_left"\nbus = "can1"')
+
+
+def test_a_gateway_on_another_bus_is_not_in_the_way(tmp_path: Path) -> None:
+    one = Prepared(tmp_path, on_two_buses())
+    claims = Claims("socketcan", f"{CHANNEL}_1", [0x7FF])
+    assert one("front", "--yes")[0] == 0
+    with pytest.raises(InUseError):
+        one("rear_left", "--yes")
+    claims.release()
+
+
 def test_a_gateway_that_began_before_a_calibration_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,6 +232,29 @@ def test_where_one_is_armed_none_is_set(tmp_path: Path, monkeypatch: pytest.Monk
     assert one["rear_left"].axis.state == 8
 
 
+def test_what_reads_back_otherwise_is_not_saved(tmp_path: Path) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0}, "front")
+    one["front"].axis.parameters.stuck = {ENABLE_WATCHDOG}
+    code, told = one("front", "--yes")
+    assert (code, "= true reads back false: nothing is saved" in str(told["reason"])) == (1, True)
+    one["front"].power_cycle()
+    assert one["front"].axis.parameters[ENCODER_MS] == 10.0
+
+
+def test_nor_is_what_nobody_reads_back(tmp_path: Path) -> None:
+    one = Prepared(tmp_path)
+    one.put({ENCODER_MS: 10.0}, "front")
+
+    def silent() -> None:
+        one["front"].answers_sdo = all(frame.data[0] == READ for frame in sdos(one))
+
+    one.disturb = silent
+    code, told = one("front", "--yes")
+    assert (code, "= 4 is not answered: nothing is saved" in str(told["reason"])) == (1, True)
+    assert [frame for _, frame in one.bench.sent if frame.id & 0x1F == Command.REBOOT] == []
+
+
 # -- another bit rate -------------------------------------------------------------------------------------------------
 
 OLD, NEW = 250_000, 1_000_000
@@ -272,22 +320,9 @@ def test_none_calibrates_before_the_link_is_set(tmp_path: Path) -> None:
     assert one.moved
 
 
-BUS = """[[bus]]
-name = "can1"
-interface = "socketcan"
-channel = "can1"
-bitrate = 1_000_000
-
-[commands]"""
-
-
 def test_the_other_bus_is_looked_at_anew(tmp_path: Path) -> None:
     """And nothing of it calibrates meanwhile."""
-    text = (
-        kiwi()
-        .replace("[commands]", BUS)
-        .replace('name = "rear_left"\nbus = "can0"', 'name = "rear_left"\nbus = "can1"')
-    )
+    text = on_two_buses()
     one = slow(tmp_path, text, "front", "rear_right")
     one.put({ENCODER_MS: 10.0} | dict.fromkeys(CALIBRATED, 0.0), "rear_left")
     one.put(dict.fromkeys(CALIBRATED, 0.0), "front")
@@ -432,3 +467,29 @@ def test_one_that_does_not_come_back_is_told(tmp_path: Path) -> None:
     one["front"]._handlers[Command.REBOOT] = (0, lambda _data: one["front"].power_off())
     code, told = one("--yes")
     assert (code, told["reason"]) == (1, "front: was not seen to restart within 10 s: is it saved?")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_ctrl_c_lets_it_go(tmp_path: Path, late: bool) -> None:
+    """Also where it is calibrated by then: it is not saved, and no other turns."""
+    one = Prepared(tmp_path)
+    one("--yes")
+    one.put(dict.fromkeys(CALIBRATED, 0.0))
+    turning: list[int] = []
+
+    def interrupt() -> None:
+        """At its begin, or when it has told that it ended."""
+        if one["front"].axis.state == FULL_CALIBRATION:
+            turning.append(one.bench.now_ns)
+        ended = bool(turning) and one.bench.now_ns > turning[-1] + 200 * MS
+        if ended if late else len(turning) == 1:
+            one.disturb = lambda: None
+            signal.raise_signal(signal.SIGINT)
+
+    one.disturb = interrupt
+    code, told = one("--yes", "--calibrate")
+    assert (code, told["reason"]) == (1, f"front: not calibrated: signal {signal.SIGINT.value}")
+    assert one["front"].axis.state == 1
+    assert one.bench.plant.angles[1:] == (0.0, 0.0)
+    one["front"].power_cycle()
+    assert one["front"].axis.parameters[CALIBRATED[0]] == 0.0
