@@ -186,6 +186,13 @@ class Firmware(NamedTuple):
     estimates_setting: str  # of the controller: how often it sends them, in ms
     heartbeat_setting: str
 
+    def heard(self, data: bytes) -> Heard | None:
+        """What the data of a heartbeat tells; None: too short."""
+        message = self.from_device[tables.HEARTBEAT]
+        if len(data) < message.needed:
+            return None
+        return self.heartbeat(message.layout.unpack_from(data.ljust(message.layout.size, b"\0")))
+
 
 FIRMWARES: Final[dict[str, Firmware]] = {
     "0.5": Firmware(

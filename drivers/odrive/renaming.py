@@ -15,36 +15,43 @@ from typing import Final
 
 from drivers.contract import CanFrame, Identity, RenamingOverCan
 from drivers.odrive import tables
+from drivers.odrive.endpoints import save_request
 from drivers.records import data_frame
 
 EVERYBODY: Final = 0x3F  # and the node of one that has none
-SAVE: Final = 1  # of Reboot
-SERIAL_BYTES: Final = 6
-_SIZE: Final = 1 + SERIAL_BYTES
+_ADDRESS: Final = tables.TO_DEVICE_06[tables.ADDRESS]
+_NODE, _SERIAL = _ADDRESS.fields
 
 
 def _ask(bus: str) -> list[CanFrame]:
     return [CanFrame(bus, EVERYBODY << tables.NODE_SHIFT | tables.ADDRESS, b"", remote=True)]
 
 
+def serial_of(sender: int, data: bytes) -> int | None:
+    """Serial number in an Address from this node; None: no answer, of which the node tells its own id."""
+    told = _ADDRESS.values(data)
+    if told is None:
+        return None
+    (_, node), (_, serial) = told
+    return int(serial) if node == sender else None
+
+
 def _told(frame: CanFrame) -> Identity | None:
-    """An answer: the node of its id is that of its data, which what the host itself sends to everybody is not."""
+    """An answer, which what the host itself sends to everybody is not."""
     if frame.extended or frame.remote or frame.fd or frame.id & tables.COMMAND_MASK != tables.ADDRESS:
         return None
-    sender, data = frame.id >> tables.NODE_SHIFT, frame.data
-    if len(data) < _SIZE or data[0] != sender:
-        return None
-    serial = int.from_bytes(data[1:_SIZE], "little")
-    return Identity(serial, None if sender == EVERYBODY else sender)
+    sender = frame.id >> tables.NODE_SHIFT
+    serial = serial_of(sender, frame.data)
+    return None if serial is None else Identity(serial, None if sender == EVERYBODY else sender)
 
 
 def _give(bus: str, serial: int, node: int) -> list[CanFrame]:
-    data = bytes([node]) + serial.to_bytes(SERIAL_BYTES, "little")
+    data = _ADDRESS.layout.pack(node << _NODE.shift | serial << _SERIAL.shift)[: _ADDRESS.needed]
     return [data_frame(bus, EVERYBODY << tables.NODE_SHIFT | tables.ADDRESS, data)]
 
 
 def _keep(bus: str, node: int) -> list[CanFrame]:
-    return [data_frame(bus, node << tables.NODE_SHIFT | tables.REBOOT, bytes([SAVE]))]
+    return [save_request(node)._replace(bus=bus)]
 
 
 def claim(node: int) -> int:

@@ -7,7 +7,9 @@ from typing import Final
 
 from drivers.contract import CanFrame
 from drivers.odrive import tables
+from drivers.odrive.endpoints import version_request
 from drivers.odrive.firmware import FIRMWARES, error_words, told_versions
+from drivers.odrive.renaming import serial_of
 from drivers.sighting import Evidence, Sighting
 
 NAME: Final = "odrive"
@@ -62,8 +64,7 @@ def questions(bus: str, heard: Collection[int]) -> list[CanFrame]:
 
     Nobody else is asked: to another controller the id might mean something.
     """
-    ids = [node << tables.NODE_SHIFT | tables.GET_VERSION for node in sorted(heard)]
-    return [CanFrame(bus, identifier, b"", remote=True) for identifier in ids]
+    return [version_request(node)._replace(bus=bus) for node in sorted(heard)]
 
 
 def _heartbeat(node: int, data: bytes) -> Sighting:
@@ -122,10 +123,10 @@ def _version(node: int, data: bytes) -> Sighting:
 
 def _address(node: int, data: bytes) -> Sighting:
     """Of an ODrive itself, which tells its own node; else a host gives somebody another one."""
-    if len(data) < 7 or data[0] != node:
+    serial = serial_of(node, data)
+    if serial is None:
         return Sighting(NAME, BOTH, node, "Address", Evidence.COMMAND)
-    told = (("serial", f"{int.from_bytes(data[1:7], 'little'):012X}"),)
-    return Sighting(NAME, ("0.6",), node, "Address", Evidence.TALK, told)
+    return Sighting(NAME, ("0.6",), node, "Address", Evidence.TALK, (("serial", f"{serial:012X}"),))
 
 
 _READERS: Final[dict[int, Callable[[int, bytes], Sighting]]] = {

@@ -1,6 +1,6 @@
 """What `drivegate setup prepare` does on the buses and to the robot file; what is right is decided in gateway/setup."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -15,6 +15,7 @@ from gateway.cli.setup_jog import warning
 from gateway.config import Bus, Motor, RobotConfig, load
 from gateway.edges.can_bus import CanBuses
 from gateway.edges.claims import Claims, refuse_where_commanded
+from gateway.edges.host_checks import set_anew
 from gateway.edges.listening import Place, listen
 from gateway.edges.signals import EndRequest
 from gateway.edges.turning import turn
@@ -67,26 +68,35 @@ class Preparing:
         self._flats = flats
         self._seconds = seconds
         self._buses = {bus.name: bus for bus in config.bus}
-        self._forget()
-
-    def _forget(self) -> None:
-        self.lines = []
+        self._moved: set[str] = set()  # buses whose controllers have another bit rate by now than the link
         self._fits: dict[str, FlatEndpoints] = {}  # by motor
         self._to_set: dict[str, list[Setting]] = {}
         self._idle: set[str] = set()
 
+    def _forget(self, motors: Sequence[Motor]) -> None:
+        names = [motor.name for motor in motors]
+        self.lines = [line for line in self.lines if line.motor not in names]
+        self._idle -= set(names)
+        for name in names:
+            self._fits.pop(name, None)
+            self._to_set.pop(name, None)
+
     # -- looking ------------------------------------------------------------------------------------------------------
 
     def look(self) -> None:
-        """Listen, then read. Raises AdapterError, PrepareError."""
-        self._forget()
+        """Listen, then read; what moved to another bit rate stays as it is known. Raises AdapterError, PrepareError."""
         for bus in self._buses.values():
             mine = [motor for motor in self.motors if motor.bus == bus.name]
-            ear = self._listened(bus, mine) if mine else Ear()
+            if not mine or bus.name in self._moved:
+                continue
+            self._forget(mine)
+            ear = self._listened(bus, mine)
             for motor in mine:
                 self.lines += KINDS[motor.driver].heard_lines(ear, motor, bus)
                 if _is_06(motor):
                     self.lines += self._read(bus, motor, ear)
+        names = [motor.name for motor in self.motors]
+        self.lines.sort(key=lambda line: names.index(line.motor))
 
     def by_hand(self) -> dict[str, list[str]]:
         """By motor, what to set with the vendor's tool."""
@@ -139,36 +149,51 @@ class Preparing:
 
     def set(self, *, yes: bool) -> None:
         """What a person lets happen; then all is looked at anew. Raises AdapterError, PrepareError."""
-        plans = [(motor, plan) for motor in self.motors if (plan := self._to_set.get(motor.name))]
-        if not plans:
+        if not any(self._to_set.values()):
             return
+        moving = {motor.bus for motor in self.motors if self._moves(motor)}
+        self._refuse_where_one_stays(moving)
+        plans = [
+            (motor, plan)
+            for motor in self.motors
+            if (plan := self._to_set.get(motor.name, [])) or (motor.bus in moving and _is_06(motor))
+        ]
         busy = [motor.name for motor, _ in plans if motor.name not in self._idle]
         if busy:
             raise PrepareError(f"{', '.join(busy)}: not idle, or nobody hears it: nothing is set")
-        moved = [(motor, one) for motor, plan in plans for one in plan if one.path == BAUD_RATE]
-        alone = {one.bus for one in self.config.motor if one not in self.motors} & {motor.bus for motor, _ in moved}
-        if alone:
-            raise PrepareError(f"{', '.join(alone)}: another bit rate goes to all of its motors at once: name none")
         todo = [f"  {motor.name}: {_said(one)}" for motor, plan in plans for one in plan]
         text = "\n".join(["This will be written, read back, and saved; each controller then restarts:", *todo])
         if not _allowed(text, "to write it", yes=yes):
             return
         for motor, plan in plans:
-            here = [one for one in plan if one.path != BAUD_RATE]
-            if here:
-                self._put(motor, here)
+            self._put(motor, plan)
+            if motor.bus not in moving:
                 self._save(motor)
-        if moved:
-            self._other_bit_rate(moved)
-        else:
-            self.look()
+        for name in sorted(moving):
+            self._other_bit_rate(self._buses[name])
+        self.look()
+
+    def _moves(self, motor: Motor) -> bool:
+        """Whether it is to have another bit rate."""
+        return any(one.path == BAUD_RATE for one in self._to_set.get(motor.name, []))
+
+    def _refuse_where_one_stays(self, moving: Iterable[str]) -> None:
+        """Raises PrepareError where a controller of these buses would keep a bit rate at which nobody hears it."""
+        has_it = {line.motor for line in self.lines if line.what == BAUD_RATE and line.verdict is Verdict.OK}
+        silent = {line.motor for line in self.lines if line.what == "answers"}
+        for name in sorted(moving):
+            here = [one for one in self.config.motor if one.bus == name]
+            rest = [one for one in here if one.name not in has_it and not self._moves(one)]
+            stay = [one.name for one in rest if _is_06(one) or one.name not in silent]
+            if stay:
+                raise PrepareError(
+                    f"{name}: another bit rate goes to all of its motors at once, and {', '.join(stay)} would keep "
+                    "this one: name no motor, switch all on, and set first by hand what is not set over CAN"
+                )
 
     def _put(self, motor: Motor, plan: Sequence[Setting]) -> None:
         """Raises PrepareError where one reads back otherwise, or somebody armed it since it was looked at."""
-        ear = Ear()
-        listen(self._place(motor), self._seconds, ear.take, going_on=lambda: not prepare_odrive.idle(ear, motor))
-        if not prepare_odrive.idle(ear, motor):
-            raise PrepareError(f"{motor.name}: not idle any more: nothing more is set")
+        self._refuse_where_armed(motor)
         done = self._exchanged(motor, prepare_odrive.jobs(self._fits[motor.name], plan, write=True))
         for one in plan:
             read: Value | None = done.values.get(one.path)
@@ -180,39 +205,53 @@ class Preparing:
                 )
             self.changed.append(f"{motor.name}: {_said(one)}")
 
+    def _refuse_where_armed(self, motor: Motor) -> None:
+        """Raises PrepareError."""
+        ear = Ear()
+        listen(self._place(motor), self._seconds, ear.take, going_on=lambda: not prepare_odrive.idle(ear, motor))
+        if not prepare_odrive.idle(ear, motor):
+            raise PrepareError(f"{motor.name}: not idle any more: nothing more is set")
+
     def _save(self, motor: Motor) -> None:
         """Raises PrepareError where it does not come back."""
         errors.print(f"{motor.name} saves its settings and restarts", highlight=False, markup=False)
-        if not self._restarted(motor, wait=True).finished:
+        if not self._restarted([motor], wait=True):
             raise PrepareError(f"{motor.name}: was not seen to restart within {PATIENCE_S:g} s: is it saved?")
 
-    def _restarted(self, motor: Motor, *, wait: bool) -> Restart:
-        """Told to, and waited for."""
-        restart = Restart(motor.id)
-        listen(
-            *(self._place(motor), PATIENCE_S, restart.take),
-            going_on=lambda: not (restart.finished if wait else restart.told),
-            questions=restart.questions,
-        )
-        return restart
+    def _restarted(self, motors: Sequence[Motor], *, wait: bool) -> bool:
+        """Those of one bus, all told to within a heartbeat of each other; whether all are back, or not waited for."""
+        restarts = [Restart(motor.id) for motor in motors]
 
-    def _other_bit_rate(self, moved: Sequence[tuple[Motor, Setting]]) -> None:
-        """To all before any of them restarts: from then on they hear neither each other nor us."""
-        for motor, one in moved:
-            self._put(motor, [one])
-        for motor, _ in moved:
-            self._restarted(motor, wait=False)
-        for bus in {motor.bus: self._buses[motor.bus] for motor, _ in moved}.values():
-            complain(
-                f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: set {bus.channel} so, run it again"
-            )
-        names = {motor.name for motor, _ in moved}
-        self.lines = [
-            line._replace(verdict=Verdict.UNKNOWN, todo="set the link to it, and run it again")
-            if line.motor in names and line.todo == prepare_odrive.A_YES
-            else line
-            for line in self.lines
-        ]
+        def take(frame: CanFrame) -> None:
+            for one in restarts:
+                one.take(frame)
+
+        def over() -> bool:
+            return all(one.finished if wait else one.told for one in restarts)
+
+        listen(
+            *(self._place(motors[0]), PATIENCE_S, take),
+            going_on=lambda: not over(),
+            questions=lambda gone: [frame for one in restarts for frame in one.questions(gone)],
+        )
+        return over()
+
+    def _other_bit_rate(self, bus: Bus) -> None:
+        """All of a bus restart, which have it already: from then on nobody there hears us. Raises PrepareError."""
+        motors = [motor for motor in self.motors if motor.bus == bus.name and _is_06(motor)]
+        for motor in motors:
+            self._refuse_where_armed(motor)
+        self._restarted(motors, wait=False)
+        self._moved.add(bus.name)
+        complain(_set_link(bus))
+        self.lines = [self._not_seen_yet(line) for line in self.lines]
+
+    def _not_seen_yet(self, line: Line) -> Line:
+        """What was set is not known before the link has the new bit rate; other buses are looked at anew."""
+        names = [one.path.rpartition(".")[2] for one in self._to_set.get(line.motor, [])]
+        was_set = line.todo == prepare_odrive.A_YES or any(name in line.todo for name in names)
+        todo = "set the link to the new bit rate, and run it again"
+        return line._replace(verdict=Verdict.UNKNOWN, todo=todo) if was_set else line
 
     # -- calibrating --------------------------------------------------------------------------------------------------
 
@@ -220,6 +259,10 @@ class Preparing:
         """Those that are not, if a person lets it happen. Raises PrepareError where one does not end well."""
         names = {line.motor for line in wrong(self.lines) if line.what in CALIBRATED}
         motors = [motor for motor in self.motors if motor.name in names]
+        unheard = [motor.name for motor in motors if motor.bus in self._moved]
+        if unheard:
+            links = "; ".join(_set_link(self._buses[name]) for name in sorted(self._moved))
+            raise PrepareError(f"{', '.join(unheard)}: not calibrated: {links}")
         told = ", ".join(motor.name for motor in motors)
         what = f"{warning(self.config, *names)} Each turns by itself, a turn or so there and back: {told}."
         if not motors or not _allowed(what, "to calibrate them", yes=yes):
@@ -227,9 +270,10 @@ class Preparing:
         for motor in motors:
             errors.print(f"{motor.name} calibrates itself now.", highlight=False, markup=False)
             outcome = self._turned(motor)
-            if not outcome.ok:
+            if not outcome.well:
+                ended = "calibrated, but not saved" if outcome.ok else f"not calibrated: {outcome.reason}"
                 held = "" if outcome.released else "; it did not confirm that it is released: cut its power"
-                raise PrepareError(f"{motor.name}: not calibrated: {outcome.reason}{held}")
+                raise PrepareError(f"{motor.name}: {ended}{held}")
             with to_ourselves([motor], self.config):
                 self._save(motor)
         with to_ourselves(self.motors, self.config):
@@ -298,6 +342,11 @@ def _is_06(motor: Motor) -> bool:
 
 def _place(bus: Bus) -> Place:
     return Place(bus.interface, bus.channel, bus.bitrate)
+
+
+def _set_link(bus: Bus) -> str:
+    """What a person has to do before these controllers are heard again."""
+    return f"{bus.name}: its controllers restart with {bus.bitrate} bit/s: `{set_anew(bus)}`, then run this again"
 
 
 def _said(one: Setting) -> str:

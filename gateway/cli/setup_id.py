@@ -19,14 +19,15 @@ from gateway.setup.renaming import (
     KINDS,
     IdWatch,
     RenamingError,
+    RestWatch,
     RollCall,
-    check_at_rest,
     check_free,
     named,
     way,
 )
 
 ROLL_S = 2.0
+REST_S = 0.5  # of heartbeats, which come every 0.1 s
 ASK_EVERY_S = 0.6  # answers are spread over that time
 CONFIRM_S = 3.0
 RESTART_S = 1.5  # without a question: what is saved and started anew
@@ -73,10 +74,11 @@ def id(  # noqa: PLR0917  # the command's name, and a command line: each paramet
 def _over_can(
     place: Place, driver: str, how: RenamingOverCan, *, say: Say, to: int | None, serial: str | None, yes: bool
 ) -> dict[str, object]:
-    census, call = Census(), RollCall(how)
+    census, rest, call = Census(), RestWatch(driver), RollCall(how)
 
     def take(frame: CanFrame) -> None:
         census.take([frame])
+        rest.take(frame)
         call.take(frame)
 
     listen(place, ROLL_S, take, questions=_Again(lambda: how.ask(place.name)))
@@ -89,7 +91,7 @@ def _over_can(
     one = call.chosen(serial)
     found = [found for found in census.report(ROLL_S).found if found.driver == driver]
     check_free(call.ids, found, one, to)
-    check_at_rest(found, one)
+    rest.check(one)
     allow(
         f"{named(one)}: gets id {to}, keeps it and starts anew. What it does by itself at a start (calibration, closed "
         "loop) it will do: lift the robot so that no wheel touches the ground, and keep hands and cables away.",
@@ -97,15 +99,18 @@ def _over_can(
         yes=yes,
     )
     refuse_where_commanded(place.interface, place.channel)  # somebody may have started one meanwhile
-    _give(place, how, one, to)
+    _give(place, driver, how, one, to)
     say(f"serial {one.serial:012X} has id {to}, also after a restart")
     return {"ok": True, "serial": f"{one.serial:012X}", "from": one.id, "to": to}
 
 
-def _give(place: Place, how: RenamingOverCan, one: Identity, to: int) -> None:
-    """Raises RenamingError where it does not say so itself, before it is kept and after; InUseError."""
+def _give(place: Place, driver: str, how: RenamingOverCan, one: Identity, to: int) -> None:
+    """Raises RenamingError where it drives by now, or does not say its id before it is kept and after; InUseError."""
+    rest = RestWatch(driver)
     claims = Claims(place.interface, place.channel, [how.claim(at) for at in (one.id, to) if at is not None])
     try:
+        listen(place, REST_S, rest.take)
+        rest.check(one)
         _confirmed(place, how, one, to, how.give(place.name, one.serial, to), quiet_s=0.0)
         _confirmed(place, how, one, to, how.keep(place.name, to), quiet_s=RESTART_S)
     finally:

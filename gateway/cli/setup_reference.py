@@ -9,7 +9,7 @@ from gateway.cli.correcting import OwnFile, correct
 from gateway.cli.output import console, errors, print_json
 from gateway.cli.refusing import refuse
 from gateway.cli.rewriting import RewriteError, drafted
-from gateway.cli.setup_jog import bus_of
+from gateway.cli.setup_jog import bus_of, look_for_bus
 from gateway.config import Motor, RobotConfig, load
 from gateway.edges.can_adapter import AdapterError
 from gateway.edges.claims import refuse_where_commanded
@@ -44,6 +44,7 @@ def reference(
         with drafted(file, text):
             pass  # so that nobody turns joints for nothing
         for bus in dict.fromkeys(motor.bus for motor in absolute):
+            look_for_bus(config, bus)
             refuse_where_commanded(bus_of(config, bus).interface, bus_of(config, bus).channel)
         changes = [change for motor in absolute for change in _put(config, motor)]
         kept = correct(file, text, changes, yes=yes) if absolute else None

@@ -211,10 +211,14 @@ def _timing(bus: Bus) -> str:
     return f"type can bitrate {bus.bitrate}{fd} restart-ms 100"
 
 
+def set_anew(bus: Bus) -> str:
+    """What gives the link the bit rates of the robot file."""
+    return f"ip link set {bus.channel} down; ip link set {bus.channel} up {_timing(bus)}"
+
+
 def _bit_timing(subject: str, bus: Bus, link: CanLink) -> list[Finding]:
-    down = f"ip link set {bus.channel} down"
     if link.kind != "can":
-        return _virtual(subject, bus, link, down)
+        return _virtual(subject, bus, link)
     wrong = [
         text
         for differs, text in (
@@ -228,19 +232,19 @@ def _bit_timing(subject: str, bus: Bus, link: CanLink) -> list[Finding]:
         )
         if differs
     ]
-    again = f"{down}; ip link set {bus.channel} up {_timing(bus)}"
+    again = set_anew(bus)
     findings = [Finding(subject, Grade.PROBLEM, text, again) for text in wrong]
     if link.fd and not bus.fd:
         findings.append(Finding(subject, Grade.NOTE, "CAN FD is on, the robot file says fd = false", f"{again} fd off"))
     return findings
 
 
-def _virtual(subject: str, bus: Bus, link: CanLink, down: str) -> list[Finding]:
+def _virtual(subject: str, bus: Bus, link: CanLink) -> list[Finding]:
     """One without a bit rate has its MTU: that of a classic frame does not let one of CAN FD pass."""
     if not bus.fd or link.mtu != CLASSIC_MTU:
         return []
     text = f"MTU {CLASSIC_MTU} is for classic CAN only, the robot file says fd = true"
-    again = f"{down}; ip link set {bus.channel} mtu {FD_MTU} up"
+    again = f"ip link set {bus.channel} down; ip link set {bus.channel} mtu {FD_MTU} up"
     return [Finding(subject, Grade.PROBLEM, text, again)]
 
 

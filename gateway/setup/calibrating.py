@@ -33,7 +33,6 @@ FAST_FOR: Final = 3  # estimates one after the other: one alone may be the momen
 FURTHEST: Final = 20.0  # turns of the rotor, there and back together
 
 _ESTIMATES: Final = tables.COMMON_FROM_DEVICE[tables.GET_ENCODER_ESTIMATES].layout
-_HEARTBEAT: Final = tables.FROM_DEVICE_06[tables.HEARTBEAT]
 _STATE: Final = tables.COMMON_TO_DEVICE[tables.SET_AXIS_STATE].layout
 _ZERO: Final = tables.COMMON_TO_DEVICE[tables.SET_INPUT_VEL].layout.pack(0.0, 0.0)
 
@@ -54,6 +53,11 @@ class Outcome(NamedTuple):
     ok: bool
     reason: str
     released: bool
+
+    @property
+    def well(self) -> bool:
+        """Whether it may be saved, and the next one begin."""
+        return self.ok and self.released
 
 
 class Calibration:
@@ -157,9 +161,8 @@ class Calibration:
         if frame.extended or frame.remote or frame.id >> tables.NODE_SHIFT != self._node:
             return
         command = frame.id & tables.COMMAND_MASK
-        if command == tables.HEARTBEAT and len(frame.data) >= _HEARTBEAT.needed:
-            items = _HEARTBEAT.layout.unpack(frame.data.ljust(_HEARTBEAT.layout.size, b"\0"))
-            self._errors, self._state, self._result = FIRMWARE.heartbeat(items)
+        if command == tables.HEARTBEAT and (heard := FIRMWARE.heard(frame.data)) is not None:
+            self._errors, self._state, self._result = heard
             self._heartbeat_ns = now_ns
         elif command == tables.GET_ENCODER_ESTIMATES and len(frame.data) >= _ESTIMATES.size:
             self._follow(_ESTIMATES.unpack_from(frame.data)[1], now_ns)

@@ -139,8 +139,9 @@ def versions(ear: Ear, motor: Motor) -> Versions | None:
 
 def idle(ear: Ear, motor: Motor) -> bool:
     """Whether its last heartbeat said so: nobody commands it, and nothing turns."""
-    heard = ear.of(motor.id << tables.NODE_SHIFT | tables.HEARTBEAT)
-    return heard is not None and len(heard.data) > 4 and heard.data[4] == AxisState.IDLE
+    heartbeat = ear.of(motor.id << tables.NODE_SHIFT | tables.HEARTBEAT)
+    told = None if heartbeat is None else FIRMWARES[motor.variant].heard(heartbeat.data)
+    return told is not None and told.axis_state == AxisState.IDLE
 
 
 def heard_lines(ear: Ear, motor: Motor, _bus: Bus) -> list[Line]:
@@ -162,11 +163,10 @@ def heard_lines(ear: Ear, motor: Motor, _bus: Bus) -> list[Line]:
             f"set {firmware.estimates_setting} to {rate_ms(motor)}",
         ),
     ]
-    message = firmware.from_device[tables.HEARTBEAT]
-    if heartbeat is not None and len(heartbeat.data) >= message.needed:
-        errors, _, _ = firmware.heartbeat(message.layout.unpack(heartbeat.data.ljust(message.layout.size, b"\0")))
+    told = None if heartbeat is None else firmware.heard(heartbeat.data)
+    if told is not None:
         # That nobody feeds its watchdog now is as it should be.
-        words = error_words(errors & ~firmware.host_silent, firmware.errors)
+        words = error_words(told.errors & ~firmware.host_silent, firmware.errors)
         todo = "`drivegate doctor --explain` it; an arming clears what is over" if words else ""
         lines.append(Line(motor.name, "error", "none", words or "none", Verdict.NO if words else Verdict.OK, todo))
     return lines if firmware.tells_version else [*lines, _untold(motor)]

@@ -17,6 +17,7 @@ HEARD: Final = 3  # frames, from which an id counts as heard
 GONE_NS: Final = 2_500_000_000  # without a frame
 SETTLED_NS: Final = 3_000_000_000  # after an id has come, until nothing more is expected
 _AT_REST: Final = "IDLE"  # what an ODrive that drives nothing tells of its state
+_COMMANDED: Final = "commanded by somebody"
 
 
 class RenamingError(ValueError):
@@ -96,13 +97,32 @@ def check_free(ids: Mapping[int, int | None], found: Iterable[Found], one: Ident
             raise RenamingError(f"id {to} is that of {other.name}, which tells no serial: give that one another first")
 
 
-def check_at_rest(found: Iterable[Found], one: Identity) -> None:
-    """Raises RenamingError where a controller of its id drives its motor, or is told to: it would be let go at once."""
-    for other in found:
-        state = dict(other.told).get("state", _AT_REST)
-        if other.id == one.id and (state != _AT_REST or other.commanded):
-            why = f"is {state}" if state != _AT_REST else "is commanded by somebody"
-            raise RenamingError(f"{other.name} {why}: let it go first")
+class RestWatch:
+    """What each id of one driver tells of its state: everything, as two may share an id. Listens only."""
+
+    def __init__(self, driver: str) -> None:
+        self._driver = driver
+        self._states: dict[int, set[str]] = {}
+
+    def take(self, frame: CanFrame) -> None:
+        """What was received."""
+        for one in DRIVERS[self._driver].sighted(frame):
+            states = self._states.setdefault(one.id, set())
+            states.update(value for name, value in one.told if name == "state")
+            if one.evidence is Evidence.COMMAND:
+                states.add(_COMMANDED)
+
+    def check(self, one: Identity) -> None:
+        """Raises RenamingError unless all of its id are told to be at rest: one that drives would be let go at once.
+
+        One without an id drives nothing.
+        """
+        if one.id is None:
+            return
+        states = self._states.get(one.id, set())
+        if states != {_AT_REST}:
+            busy = " and ".join(sorted(states - {_AT_REST})) or "in a state that it does not tell"
+            raise RenamingError(f"{self._driver} id {one.id} is {busy}: let it go first")
 
 
 class Change(NamedTuple):

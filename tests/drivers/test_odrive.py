@@ -1,11 +1,12 @@
 """ODrive once armed: release, change of mode, reboot, faults and measurements."""
 
 from math import pi
-from struct import unpack
+from struct import pack, unpack
 
 import pytest
 
 from drivers.contract import Capabilities, MotorFeedback, MotorState, Traffic
+from drivers.odrive.firmware import FIRMWARES
 from drivers.odrive.group import OdriveDriver
 from drivers.setpoint import BRAKE, COAST, CommandKind, MotorCommand
 from tests.drivers.odrive_stand import (
@@ -591,3 +592,11 @@ def test_06_at_zero_is_measured() -> None:
     stand, _ = stand_of()
     stand.run(COAST, ms=500)
     assert (only(stand).position, only(stand).velocity) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("variant", "whole"), [("0.5", 8), ("0.6", 7)])
+def test_a_heartbeat_that_is_short_tells_nothing(variant: str, whole: int) -> None:
+    """Least of all that what it was asked for ended well."""
+    heartbeat = pack("<IB3x", 0x20, 1)
+    assert [FIRMWARES[variant].heard(heartbeat[:size]) for size in range(whole)] == [None] * whole
+    assert FIRMWARES[variant].heard(heartbeat[:whole]) == (0x20, 1, 0)

@@ -1,7 +1,8 @@
 """A calibration in virtual time, on simulated ODrives with wheels in the air: it ends well, or lets the motor go."""
 
 from collections.abc import Callable
-from math import pi
+from math import nan, pi
+from struct import pack
 
 import pytest
 
@@ -14,6 +15,7 @@ from tests.jogging import MS, Bench
 from tests.setup_robots import kiwi
 
 NODE = 5
+HEARTBEAT, ESTIMATES = 0x01, 0x09
 LONGEST_NS = 70_000 * MS
 Disturb = Callable[[SimulatedODrive, Phase, Calibration], None]
 
@@ -61,6 +63,11 @@ def during(phase: Phase, act: Callable[[SimulatedODrive, Calibration], None]) ->
     return disturb
 
 
+def without(command: int, device: SimulatedODrive) -> None:
+    """This cyclic message comes no more; all others do."""
+    device._clocks = tuple((one, clock) for one, clock in device._clocks if one != command)
+
+
 def armed(device: SimulatedODrive) -> None:
     device.axis.parameters.put(dict.fromkeys(CALIBRATED, 1.0))
     device.axis.request(8)
@@ -69,6 +76,7 @@ def armed(device: SimulatedODrive) -> None:
 def test_it_ends_calibrated_and_released() -> None:
     tried = Tried()
     assert tried.outcome == Outcome(ok=True, reason="", released=True)
+    assert tried.outcome.well
     assert all(tried.device.axis.parameters[name] for name in CALIBRATED)
     assert tried.furthest > 0.1
 
@@ -87,14 +95,20 @@ def test_its_watchdog_is_fed_meanwhile() -> None:
     [
         (Phase.LISTEN, lambda device, _: device.unplug(), "is not heard"),
         (Phase.LISTEN, lambda device, _: armed(device), "it is not idle"),
+        (Phase.ASKED, lambda device, _: device.unplug(), "is not heard"),
         (Phase.TURNING, lambda device, _: device.unplug(), "is not heard"),
+        (Phase.TURNING, lambda device, _: without(HEARTBEAT, device), "is not heard"),
+        (Phase.TURNING, lambda device, _: without(ESTIMATES, device), "is not heard"),
         (Phase.TURNING, lambda device, _: device.raise_error(0x20), "reports DRV_FAULT"),
         (Phase.TURNING, lambda device, _: setattr(device.axis, "calibration_speed", 30.0), "faster than 5 turns/s"),
         (Phase.TURNING, lambda _, procedure: procedure.stop("signal 2"), "signal 2"),
         (Phase.TURNING, lambda device, _: setattr(device.axis, "phase_connected", False), "PHASE_RESISTANCE_OUT_OF_R"),
         (Phase.ASKED, lambda device, _: setattr(device, "receive", lambda *_: ()), "did not begin"),
     ],
-    ids=["no cable", "armed", "cable cut", "error", "too fast", "asked", "no motor", "deaf"],
+    ids=[
+        *("no cable", "armed", "cable cut at its begin", "cable cut", "no heartbeat", "no estimate"),
+        *("error", "too fast", "asked", "no motor", "deaf"),
+    ],
 )
 def test_whatever_is_not_right_lets_the_motor_go(
     phase: Phase, act: Callable[[SimulatedODrive, Calibration], None], words: str
@@ -103,17 +117,69 @@ def test_whatever_is_not_right_lets_the_motor_go(
     assert not tried.outcome.ok
     assert words in tried.outcome.reason
     assert [frame.data[0] for frame in tried.sent if frame.id & 0x1F == 0x07][-1:] == [1]
+    heard = tried.device.plugged and any(command == HEARTBEAT for command, _ in tried.device._clocks)
+    assert tried.outcome.released is heard  # what it told last may be over
     if tried.device.plugged:
         assert tried.state == 1
         assert tried.furthest < 4.0
 
 
-def test_too_far_is_the_end() -> None:
-    def never(device: SimulatedODrive, now: Phase, _: Calibration) -> None:
-        device.axis.calibration_speed = 4.0
-        if now is Phase.TURNING:
-            device.axis._calibrating_from_ns = device.axis._now_ns  # always at its begin
+def test_one_that_is_armed_at_its_end_did_not_end_well() -> None:
+    def arm(device: SimulatedODrive, _: Calibration) -> None:
+        device.receive = lambda *_: ()  # type: ignore[method-assign]
+        device.axis.request(8)
 
-    tried = Tried(never)
+    outcome = Tried(during(Phase.END, arm)).outcome
+    assert (outcome, outcome.well) == (Outcome(ok=True, reason="", released=False), False)
+
+
+def endless(speed: float) -> Disturb:
+    """Turns/s, always at its begin."""
+
+    def disturb(device: SimulatedODrive, now: Phase, _: Calibration) -> None:
+        device.axis.calibration_speed = speed
+        if now is Phase.TURNING:
+            device.axis._calibrating_from_ns = device.axis._now_ns
+
+    return disturb
+
+
+def test_too_far_is_the_end() -> None:
+    tried = Tried(endless(4.0))
     assert "further than 20 turns" in tried.outcome.reason
     assert (tried.state, tried.furthest < 25.0) == (1, True)
+
+
+def test_too_long_is_the_end() -> None:
+    tried = Tried(endless(0.1))
+    assert "longer than 60 s" in tried.outcome.reason
+    assert (tried.state, tried.furthest < 7.0) == (1, True)
+
+
+def test_what_is_over_is_no_error() -> None:
+    assert Tried(during(Phase.LISTEN, lambda device, _: device.raise_error(0x20))).outcome.ok
+
+
+def tells(device: SimulatedODrive, *speeds: float) -> None:
+    """These next, turns/s, instead of the true ones."""
+    told, true = list(speeds), device._reports[ESTIMATES]
+    device._reports[ESTIMATES] = lambda: pack("<ff", 0.0, told.pop(0)) if told else true()
+
+
+@pytest.mark.parametrize(
+    ("speeds", "ok"),
+    [((30.0, 30.0), True), ((-30.0, 30.0, 0.0, 30.0), True), ((30.0, 30.0, -30.0), False)],
+)
+def test_fast_once_or_twice_may_be_its_encoder_being_found(speeds: tuple[float, ...], ok: bool) -> None:
+    assert Tried(during(Phase.TURNING, lambda device, _: tells(device, *speeds))).outcome.ok is ok
+
+
+def test_no_speed_at_all_hides_no_way() -> None:
+    """It tells none while its encoder is being found."""
+    turning, nothing = endless(4.0), during(Phase.TURNING, lambda device, _: tells(device, nan))
+
+    def disturb(device: SimulatedODrive, now: Phase, procedure: Calibration) -> None:
+        turning(device, now, procedure)
+        nothing(device, now, procedure)
+
+    assert "further than 20 turns" in Tried(disturb).outcome.reason

@@ -103,6 +103,7 @@ ROWS = [
             ("tune", "nocan.toml", "front_left"),
             ("directions", "nocan.toml"),
             ("prepare", "nocan.toml"),
+            ("reference", "nocan_steered.toml"),
         )
     ),
     (69, ("run", OMNI4, "--simulate", "--endpoint", "ADDRESS IN USE"), "Address already in use"),
@@ -136,7 +137,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "binary.toml").write_bytes(bytes(range(128, 255)))
     (path / "wrong.toml").write_text("y = 1\n")
     (path / "plain").write_text("")
-    (path / "nocan.toml").write_text(robot_text("omni4").replace('channel = "can0"', 'channel = "nocan0"'))
+    for name, bundled in (("nocan", "omni4"), ("nocan_steered", "moby")):
+        (path / f"{name}.toml").write_text(robot_text(bundled).replace('channel = "can0"', 'channel = "nocan0"'))
     (path / "zenoh.json5").write_text("{ mode: 3 }")
     for name, file in (("zenoh", "zenoh.json5"), ("nozenoh", "nowhere.json5")):
         (path / f"{name}.toml").write_text(robot_text("omni4").replace("[zenoh]", f'[zenoh]\nconfig_file = "{file}"'))

@@ -137,6 +137,16 @@ def test_a_restart_is_one_that_was_seen_to_be_away() -> None:
     assert restart.finished
 
 
+def test_a_gap_before_it_was_told_is_no_restart() -> None:
+    restart = Restart(NODE)
+    for ms in (1000, 1400):
+        restart.take(CanFrame("", NODE << 5 | 1, bytes(8), received_ns=ms * MS))
+    assert restart.questions(0.5) != []
+    for ms in range(1500, 3000, 100):
+        restart.take(CanFrame("", NODE << 5 | 1, bytes(8), received_ns=ms * MS))
+    assert not restart.finished
+
+
 def test_one_of_which_no_heartbeat_comes_is_told_all_the_same() -> None:
     assert Restart(NODE).questions(1.0) != []
 

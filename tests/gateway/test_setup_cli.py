@@ -1,8 +1,6 @@
 """`drivegate setup` as a person calls it, on a simulated robot in real time; waits are for what is told."""
 
 import errno
-import json
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -10,72 +8,19 @@ from pathlib import Path
 
 import can
 import pytest
-from typer.testing import CliRunner, Result
 
 from gateway.cli import output
-from gateway.cli.app import build
-from gateway.config import RobotConfig, parse
 from gateway.edges.claims import Claims
 from gateway.edges.turning import turn
 from gateway.setup.jog import Ending, Outcome
-from replay.sim.controllers.contract import STEP_NS
-from replay.sim.server import SimulationServer
-from tests.lifted import LiftedPlant
 from tests.setup_robots import TRUE, wronged
-
-TICK_NS = 2 * STEP_NS
-Setup = Callable[..., Result]
-
-
-class Stand:
-    """A true robot on a stand, in a thread, and the file that a person has of it."""
-
-    def __init__(self, tmp_path: Path, channel: str, name: str, wrong: Callable[[str], str] = str) -> None:
-        on_virtual = (
-            TRUE[name]().replace('"socketcan"', '"virtual"').replace('channel = "can0"', f'channel = "{channel}"')
-        )
-        self.true = on_virtual
-        self.config: RobotConfig = parse(on_virtual, name)
-        self.file = tmp_path / f"{name}.toml"
-        self.file.write_text(wrong(on_virtual))
-        self.channel = channel
-        self.plant = LiftedPlant(self.config)
-        self._bus = can.Bus(interface="virtual", channel=channel)
-        self.server = SimulationServer(self.config, {"can0": self._bus}, tick_ns=TICK_NS, plant=self.plant)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self.server.run, args=(self._stop,))
-        self._thread.start()
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._bus.shutdown()
-
-    @property
-    def moved(self) -> bool:
-        return any(angle != 0.0 for angle in self.plant.angles)
+from tests.setup_stand import Stand, called, document, stands
 
 
 @pytest.fixture
 def stand(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Stand]]:
-    made: list[Stand] = []
-
-    def make(name: str, wrong: Callable[[str], str] = str) -> Stand:
-        made.append(Stand(tmp_path, f"{os.getpid()}_{request.node.name}"[:40], name, wrong))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
-
-
-def called(*arguments: object, answers: str = "") -> Result:
-    return CliRunner().invoke(build("setup"), ["setup", *map(str, arguments)], input=answers)
-
-
-def document(result: Result) -> dict[str, object]:
-    found: dict[str, object] = json.loads(result.stdout)
-    return found
+    with stands(tmp_path, request.node.name) as make:
+        yield make
 
 
 def test_scan(stand: Callable[..., Stand]) -> None:

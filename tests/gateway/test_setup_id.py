@@ -14,15 +14,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers import DRIVERS
-from drivers.contract import Identity, RenamingOverCan
+from drivers.contract import CanFrame, Identity, RenamingOverCan
 from gateway.cli.app import build
 from gateway.config import parse
 from gateway.edges.claims import Claims, InUseError
-from gateway.setup.renaming import KINDS, IdWatch, RenamingError, way
+from gateway.setup.renaming import KINDS, IdWatch, RenamingError, RestWatch, way
 from replay.sim.controllers.odrive import SimulatedODrive
 from tests.drivers.rig import can_frame
 from tests.gateway.test_setup_inputs import CHANNEL, Terminal, Told, simulated
-from tests.jogging import Bench
+from tests.jogging import MS, Bench
 from tests.setup_robots import TRUE, wronged
 from tests.world import robot_text
 
@@ -98,14 +98,71 @@ def test_nor_from_one_that_tells_no_serial() -> None:
     assert one.node == 0
 
 
-def test_one_that_drives_is_not_started_anew() -> None:
+def test_one_that_drives_is_not_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nobody is asked."""
+    asked: list[object] = []
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: asked.append(1))
     bench, _, other = fresh()
     bench.bus.remove_twin("front")
     front = cast("SimulatedODrive", bench.bus.robot.devices["front"])
     front.axis.request(8)
-    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{front.serial:X}", "--yes")[1]
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{front.serial:X}")[1]
     assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
-    assert (front.node, other.node) == (0, 0)
+    assert (front.node, other.node, asked) == (0, 0, [])
+
+
+@pytest.mark.parametrize("late_ms", [0, 3, 30, 70])
+@pytest.mark.parametrize("armed", [0, 1])
+def test_nor_where_either_of_two_of_one_id_drives(armed: int, late_ms: int) -> None:
+    """Whichever of them was heard last."""
+    bench, *both = fresh()
+    for _, clock in both[1]._clocks:
+        clock.due_ns += late_ms * MS
+    bench.wait(0.05)
+    both[armed].axis.request(8)
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", "--yes")[1]
+    assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
+    assert [(device.node, device.axis.state) for device in both] == [(0, 8 if at == armed else 1) for at in (0, 1)]
+
+
+def test_nor_where_somebody_commands_it() -> None:
+    """From another computer, whose claims are not seen here."""
+    bench, *both = fresh()
+    bench.bus.babble("can0", CanFrame("can0", 0x00D, bytes(8)), rate_hz=50.0)
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", "--yes")[1]
+    assert "is commanded by somebody: let it go first" in str(found["reason"])
+    assert [device.node for device in both] == [0, 0]
+
+
+def test_nor_where_it_does_not_tell_its_state() -> None:
+    watch = RestWatch("odrive")
+    with pytest.raises(RenamingError, match="does not tell"):
+        watch.check(Identity(SERIAL, 0))
+    watch.check(Identity(SERIAL, None))
+    watch.take(can_frame("001#0000000001000000"))
+    watch.check(Identity(SERIAL, 0))
+
+
+@pytest.mark.parametrize("armed", [0, 1])
+def test_one_that_is_armed_before_the_yes_is_left_alone(armed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, *both = fresh()
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: both[armed].axis.request(8))
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}")[1]
+    assert "is CLOSED_LOOP_CONTROL: let it go first" in str(found["reason"])
+    assert [(device.node, device.axis.state) for device in both] == [(0, 8 if at == armed else 1) for at in (0, 1)]
+    assert all(frame.remote for _, frame in bench.sent)
+
+
+def test_a_gateway_that_began_before_the_yes_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever it commands there."""
+    bench, *both = fresh()
+    claims: list[Claims] = []
+    begin = lambda *_, **__: claims.append(Claims("socketcan", "began_id", [0x7FF]))  # noqa: E731
+    monkeypatch.setattr("gateway.cli.setup_id.allow", begin)
+    with pytest.raises(InUseError):
+        called(bench, "odrive-0.6", "--to", "7", "--serial", f"{SERIAL:X}", channel="began_id")
+    claims[0].release()
+    assert [device.node for device in both] == [0, 0]
 
 
 def test_one_that_does_not_take_it_is_told() -> None:
@@ -113,6 +170,7 @@ def test_one_that_does_not_take_it_is_told() -> None:
     one._handlers.pop(6)
     found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{one.serial:X}", "--yes")[1]
     assert "tells id 0 instead of 7" in str(found["reason"])
+    assert [frame for _, frame in bench.sent if frame.id & 0x1F == 0x16] == []  # nobody starts anew
 
 
 def test_one_that_forgets_it_is_told() -> None:
@@ -150,14 +208,16 @@ def test_a_gateway_on_the_bus_is_left_alone() -> None:
     assert bench.sent == []
 
 
-def test_no_gateway_begins_while_an_id_is_given() -> None:
-    """It would drive what is then started anew."""
+def test_no_gateway_begins_while_an_id_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the yes on: it would drive what is then started anew."""
     bench, _, _ = fresh()
+    allowed: list[bool] = []
+    monkeypatch.setattr("gateway.cli.setup_id.allow", lambda *_, **__: allowed.append(True))
     free: dict[int, list[bool]] = {0x007: [], 0x0E7: []}
 
     def begin(bench: Bench) -> None:
         for identifier, found in free.items():
-            if not bench.sent or bench.sent[-1][1].remote:
+            if not allowed:
                 continue
             try:
                 Claims("socketcan", "renamed", [identifier]).release()
@@ -171,6 +231,19 @@ def test_no_gateway_begins_while_an_id_is_given() -> None:
     assert code == 0
     assert {identifier: set(found) for identifier, found in free.items()} == {0x007: {False}, 0x0E7: {False}}
     Claims("socketcan", "renamed", free).release()
+
+
+def test_one_that_still_knew_it_before_it_started_anew_is_told() -> None:
+    bench, one, _ = fresh()
+    told_ns: list[int] = []
+    one._handlers[0x16] = (0, lambda _data: told_ns.append(bench.now_ns))
+
+    def forget(bench: Bench) -> None:
+        if told_ns and bench.now_ns > told_ns[0] + 300 * MS:
+            one.power_cycle()
+
+    found = called(bench, "odrive-0.6", "--to", "7", "--serial", f"{one.serial:X}", "--yes", disturb=forget)[1]
+    assert "tells id 0 instead of 7" in str(found["reason"])
 
 
 # -- by hand ----------------------------------------------------------------------------------------------------------
@@ -223,6 +296,14 @@ def test_one_frame_is_no_id() -> None:
     watch = IdWatch("dji", "c620")
     watch.begin()
     watch.take(can_frame("205#1000F1F0F99A2900", received_ns=1))
+    assert watch.ids() == frozenset()
+
+
+def test_what_somebody_sends_to_an_id_is_not_heard_from_it() -> None:
+    watch = IdWatch("vesc", "vesc")
+    watch.begin()
+    for at in range(1, 9):
+        watch.take(can_frame("00000009#00000000", received_ns=at))  # duty of id 9
     assert watch.ids() == frozenset()
 
 

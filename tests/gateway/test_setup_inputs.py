@@ -35,6 +35,7 @@ from tests.world import robot_text
 
 ROBOTS = {**{name: text() for name, text in TRUE.items()}, "omni4_vesc": robot_text("omni4_vesc")}
 WORDS = ["yes", "y", "no", "", "Yes", "yes!", "f", "b", "n", "left f", "front b", "front_left f", "rear_left b", "\x00"]
+NO_QUESTIONS: Callable[..., object] = lambda _gone: ()  # noqa: E731  # a default is one line
 SLOW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -95,7 +96,7 @@ def simulated(bench: Bench, told: Told, disturb: Callable[[Bench], None]) -> Ite
     def asking(
         place: Place, seconds: float, take: Callable[[CanFrame], None], **more: Callable[..., object]
     ) -> dict[str, int]:
-        begin_ns, questions = bench.now_ns, more["questions"]
+        begin_ns, questions = bench.now_ns, more.get("questions", NO_QUESTIONS)
         while (gone := (bench.now_ns - begin_ns) * 1e-9) < min(seconds, 10.0) and more.get("going_on", lambda: True)():
             bench.send([frame._replace(bus="can0") for frame in questions(gone)])  # type: ignore[attr-defined]
             disturb(bench)

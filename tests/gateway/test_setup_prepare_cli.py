@@ -1,7 +1,6 @@
 """`drivegate setup prepare` on simulated controllers in real time: found wrong, set, read back, saved, found right."""
 
 import json
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,11 +10,12 @@ from typer.testing import Result
 from gateway.config import load
 from gateway.edges.claims import Claims
 from gateway.edges.turning import turn
+from gateway.setup.calibrating import Calibration, Outcome
 from replay.sim.controllers.odrive import SimulatedODrive
 from replay.sim.controllers.odrive_parameters import CALIBRATED
 from replay.sim.controllers.vesc import SimulatedVesc
-from tests.gateway.test_setup_cli import Stand, called, document
 from tests.setup_robots import TRUE
+from tests.setup_stand import Stand, called, document, stands
 from tests.world import robot_text
 
 ENCODER_MS = "axis0.config.can.encoder_msg_rate_ms"
@@ -26,15 +26,8 @@ FROM_THE_FACTORY = {ENCODER_MS: 10.0, ENABLE: 0.0, TIMEOUT: 0.0, "axis0.config.s
 
 @pytest.fixture
 def stand(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Stand]]:
-    made: list[Stand] = []
-
-    def make(name: str, wrong: Callable[[str], str] = str) -> Stand:
-        made.append(Stand(tmp_path, f"{os.getpid()}_{request.node.name}"[:40], name, wrong))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    with stands(tmp_path, request.node.name) as make:
+        yield make
 
 
 def odrives(one: Stand) -> dict[str, SimulatedODrive]:
@@ -230,7 +223,7 @@ def test_another_bit_rate_comes_last_and_to_all_of_a_bus(stand: Callable[..., St
     assert (alone.exit_code, "another bit rate goes to all of its motors at once" in reason(alone)) == (1, True)
     assert odrives(one)["front"].axis.parameters[BAUD_RATE] == 250_000.0
     result = prepared(one, "--endpoints", flat, "--yes")
-    assert "restart with 1000000 bit/s: set" in result.stderr
+    assert "restart with 1000000 bit/s: `ip link set" in result.stderr
     assert rows(result)["front", BAUD_RATE][2] == "unknown"
     for device in odrives(one).values():
         device.setup = device.setup._replace(bitrate=1_000_000)  # somebody set the link
@@ -338,6 +331,27 @@ def test_ctrl_c_late_in_a_calibration_is_heeded(stand: Callable[..., Stand], mon
     result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
     assert (result.exit_code, "signal 2" in reason(result)) == (1, True)
     assert sum(angle != 0.0 for angle in one.plant.angles) == 1
+    device = odrives(one)["front"]
+    device.power_cycle()
+    assert not device.axis.parameters[CALIBRATED[0]]
+
+
+def test_one_that_is_not_released_is_not_saved(stand: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saving would restart it, whatever drives it; and no other motor turns."""
+
+    def turned(_: object, procedure: Calibration, *rest: object, period_ns: int) -> None:
+        turn(_, procedure, *rest, period_ns=period_ns)  # type: ignore[arg-type]
+        assert procedure.outcome == Outcome(ok=True, reason="", released=True)
+        procedure.outcome = procedure.outcome._replace(released=False)
+
+    monkeypatch.setattr("gateway.cli.preparing.turn", turned)
+    one = stand("kiwi")
+    for device in odrives(one).values():
+        set_wrong(device, dict.fromkeys(CALIBRATED, 0.0))
+    result = prepared(one, "--endpoints", flat_file(one), "--yes", "--calibrate")
+    assert result.exit_code == 1
+    assert "front: calibrated, but not saved; it did not confirm that it is released: cut its power" in reason(result)
+    assert one.plant.angles[1:] == (0.0, 0.0)
     device = odrives(one)["front"]
     device.power_cycle()
     assert not device.axis.parameters[CALIBRATED[0]]
