@@ -131,9 +131,10 @@ def _something(
         return _pause(chance, config, t)
     if kind == "start":
         begun = _start(chance, config, t)
-        broken = not can_brake and chance.random() < 0.3
-        late = [{"t": t + chance.uniform(0.5, 2.0), "fault": _fault(chance, config, kinds)}] if broken else []
-        return [*begun, *late], t
+        if not can_brake and chance.random() < 0.5:
+            fault = _of_a_kind(chance, config, kinds or _all_kinds(config), brief=False)
+            begun.append({"t": t + chance.uniform(0.5, 2.0), "fault": fault})
+        return begun, t
     return _one(kind, chance, config, t, can_brake=can_brake, kinds=kinds), t
 
 
@@ -218,10 +219,14 @@ def _all_kinds(config: RobotConfig) -> list[FaultKind]:
 
 
 def _fault(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind] | None) -> Entry:
-    """One of these kinds, or of all."""
+    """One of these kinds, or of all, or a short loss."""
     brief = chance.random() < 0.5
+    return _of_a_kind(chance, config, LOSSES if brief else kinds or _all_kinds(config), brief=brief)
+
+
+def _of_a_kind(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind], *, brief: bool) -> Entry:
     sensing = faults.sensors(config)
-    kind = chance.choice(LOSSES if brief else kinds or _all_kinds(config))
+    kind = chance.choice(kinds)
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
