@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from importlib.metadata import metadata
 from itertools import permutations
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from zipfile import ZipFile
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 import gateway
@@ -662,6 +664,13 @@ def test_a_wheelhouse_has_what_is_run_and_what_builds_it() -> None:
     assert {"rerun-sdk", "python-can"} <= robot - client
     assert {"scipy", "mcap"} <= desk - robot
     assert "manylinux_2_28_aarch64" in told["platforms"]("aarch64")
+
+
+def test_every_version_that_we_pin_takes_the_python_of_debian_12() -> None:
+    """Told by the installed packages themselves; a newer Python than that hides one that does not."""
+    lines = (DEPLOY / "constraints.txt").read_text(encoding="utf-8").split()
+    wanted = {name: metadata(name)["Requires-Python"] or "" for name in (line.partition("==")[0] for line in lines)}
+    assert {name: told for name, told in wanted.items() if "3.11.2" not in SpecifierSet(told)} == {}
 
 
 def put_wheel(folder: Path, name: str, tag: str = "py3-none-any", needs: str = "") -> None:
