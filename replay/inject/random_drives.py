@@ -132,8 +132,7 @@ def _something(
     if kind == "start":
         begun = _start(chance, config, t)
         if not can_brake and chance.random() < 0.5:
-            fault = _of_a_kind(chance, config, kinds or _all_kinds(config), brief=False)
-            begun.append({"t": t + chance.uniform(0.5, 2.0), "fault": fault})
+            begun.append({"t": t + chance.uniform(0.5, 2.0), "fault": _fault(chance, config, kinds)})
         return begun, t
     return _one(kind, chance, config, t, can_brake=can_brake, kinds=kinds), t
 
@@ -221,12 +220,8 @@ def _all_kinds(config: RobotConfig) -> list[FaultKind]:
 def _fault(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind] | None) -> Entry:
     """One of these kinds, or of all, or a short loss."""
     brief = chance.random() < 0.5
-    return _of_a_kind(chance, config, LOSSES if brief else kinds or _all_kinds(config), brief=brief)
-
-
-def _of_a_kind(chance: Random, config: RobotConfig, kinds: Sequence[FaultKind], *, brief: bool) -> Entry:
     sensing = faults.sensors(config)
-    kind = chance.choice(kinds)
+    kind = chance.choice(LOSSES if brief else kinds or _all_kinds(config))
     rule = RULES[kind]
     fault: Entry = {"kind": kind.value}
     if rule.target is Target.MOTOR and (kind is not FaultKind.CLEAR or chance.random() < 0.3):
