@@ -6,12 +6,14 @@ The friction that the no-slip launch goes by (`gateway.control.launch`) is raise
 push a little harder: with more torque or, where motors are told voltages, from a voltage V0 a step higher (Rojas 2005,
 section 8). Once wheels slip, and in one pair harder still, the law tells what the floor gave them: that is what a
 launch may count on. (Slip is seen only from some 20 % above, so the last friction that held would be too much.) Each
-pair goes out and back, so the robot ends about where it began. The first round along an axis looks for it in coarse
+pair goes out and back; one that has to be done again goes back first, and never on in the same direction: the robot
+stays within one launch of where it began. The first round along an axis looks for it in coarse
 steps, the others in fine steps from what the first found.
 """
 
 from collections.abc import Callable
 from enum import Enum
+from math import cos, sin
 from typing import Final, NamedTuple
 
 from gateway.client import Client
@@ -20,7 +22,7 @@ from gateway.config import RobotConfig
 from gateway.control.launch import FRICTION, LEAST_FRICTION, LOOKS, MOST_FRICTION, SAFE
 from gateway.core.assembly import build
 from gateway.core.settings import LIMITING
-from gateway.edges.messages import StateMessage
+from gateway.edges.messages import OdometryMessage, StateMessage
 from gateway.types import ZERO_TWIST, Mode, Status
 
 FIRST: Final = 0.5  # of what the robot file says: where the first round along an axis begins
@@ -74,6 +76,7 @@ class Plans:
         if not self._law.features.grip:
             raise CalibrationError("the robot file has no [robot.grip], which is what this finds the friction for")
         self._limits = config.limits
+        self._silence = max(source.timeout for source in config.commands.source)
         self.given = self._law.settings[FRICTION]  # by the robot file
         self.first = max(LEAST_FRICTION, FIRST * self.given)
 
@@ -109,7 +112,7 @@ class Plans:
         return 1.0 if ground is None else ground.effort((0.0, 0.0, 0.0), way, (0.0, 0.0, 0.0))
 
     def furthest(self) -> float:
-        """M from where it begins, in the hardest launch that these limits allow."""
+        """M from where it begins, in the hardest launch that these limits allow, also if its last command is late."""
         return max(self._furthest(axis) for axis in Axis)
 
     def _furthest(self, axis: Axis) -> float:
@@ -117,7 +120,8 @@ class Plans:
         try:
             while friction <= MOST_FRICTION:
                 launch = self.launch(axis, friction)
-                furthest = max(furthest, launch.speed * launch.seconds)  # speeding up and slowing down, half of it each
+                # Speeding up and slowing down is half of it each; at top speed it goes on as long as nobody says more.
+                furthest = max(furthest, launch.speed * (launch.seconds + self._silence))
                 friction *= COARSE
         except LimitError:
             return furthest
@@ -182,6 +186,7 @@ class Driver:
         self._source = source
         self._given = given
         self._driven = False
+        self._began: OdometryMessage | None = None  # where it stood before the first launch
 
     def __call__(self, launch: Launch) -> float:
         """One launch from rest to rest; the friction the robot goes by after it. Raises CalibrationError.
@@ -190,7 +195,7 @@ class Driver:
         """
         for _ in range(TRIES):
             before = self._fact(LOOKS)
-            if self._launch(launch):
+            if self._launch(self._homewards(launch)):
                 friction = self._fact(FRICTION)
                 if friction < launch.friction or self._fact(LOOKS) > before:
                     return friction
@@ -198,6 +203,19 @@ class Driver:
             f"in {TRIES} launches nothing could tell slip: the loop of the service is late too often, or motors tell "
             "their torque less than a hundred times a second"
         )
+
+    def _homewards(self, launch: Launch) -> Launch:
+        """The same launch, the other way round from where it would lead away from where the first one began."""
+        client = self._client
+        client.wait_for_state(lambda _: client.odometry() is not None, ANSWER_TIMEOUT_S)
+        here = client.odometry()
+        if here is None:
+            raise CalibrationError("the robot does not tell where it is")
+        self._began = self._began or here
+        x, y = here.x - self._began.x, here.y - self._began.y
+        turned = (cos(here.theta), sin(here.theta)) if launch.axis is Axis.X else (-sin(here.theta), cos(here.theta))
+        away = (x * turned[0] + y * turned[1]) * launch.speed > 0.0
+        return launch._replace(speed=-launch.speed) if away else launch
 
     def _launch(self, launch: Launch) -> bool:
         """Whether it was driven to its end; else a command was late. Nothing that waits stands between its commands."""

@@ -90,8 +90,8 @@ def _ask(name: str, furthest: float) -> None:
     if sys.stdin is None or not sys.stdin.isatty():  # None: it was closed
         raise CalibrationError("a person has to let it move: run it on a terminal")
     errors.print(
-        f"{name} will launch forward, back, left and right, up to {furthest:.1f} m from where it stands, harder each "
-        "time until its wheels slip. Clear the floor, and keep the emergency stop at hand.",
+        f"{name} will launch forward, back, left and right, each way up to {furthest:.1f} m from where it stands, "
+        "harder each time until its wheels slip. Clear the floor, and keep the emergency stop at hand.",
         highlight=False,
     )
     errors.print(f"Type {ANSWER} to let it move: ", end="")

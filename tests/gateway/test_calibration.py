@@ -1,10 +1,14 @@
 """Finding how the floor grips, by launches of the real engine on a floor that is known."""
 
+import contextlib
 import os
 import tomllib
+from cmath import rect
 from collections.abc import Callable, Mapping
 from datetime import date
+from math import hypot, pi
 from pathlib import Path
+from random import Random
 from types import MappingProxyType
 from unittest.mock import Mock
 
@@ -132,7 +136,9 @@ def test_a_launch_that_was_not_looked_at_is_done_again(monkeypatch: pytest.Monke
     robot = Unseen(late)
     monkeypatch.setattr(Driver, "_launch", lambda _, launch: robot.drive(launch))
     monkeypatch.setattr(Driver, "_fact", lambda _, name: {LOOKS: robot.looks, FRICTION: 0.4}[name])
-    driver = Driver(Mock(), "teleop", 0.8)
+    client = Mock()
+    client.odometry.return_value = Mock(x=0.0, y=0.0, theta=0.0)
+    driver = Driver(client, "teleop", 0.8)
     launch = Launch(Axis.X, 0.4, 1.0, 0.3)
     if late < TRIES:
         assert driver(launch) == launch.friction
@@ -140,6 +146,47 @@ def test_a_launch_that_was_not_looked_at_is_done_again(monkeypatch: pytest.Monke
     else:
         with pytest.raises(CalibrationError, match="nothing could tell slip"):
             driver(launch)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_however_often_launches_are_done_again_it_stays_within_one_of_where_it_began(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Launches that end anywhere on their way, of a robot that stands askew in `odom` and turns a little in each."""
+    random = Random(seed)
+    began = complex(random.uniform(-5.0, 5.0), random.uniform(-5.0, 5.0))
+    place, theta, longest, looks = began, random.uniform(-pi, pi), 0.0, 0.0
+    client = Mock()
+    client.odometry.side_effect = lambda: Mock(x=place.real, y=place.imag, theta=theta)
+
+    def drive(_: Driver, launch: Launch) -> bool:
+        nonlocal place, theta, longest, looks
+        length = random.random() * launch.speed * launch.seconds
+        longest = max(longest, abs(launch.speed) * launch.seconds)
+        place += rect(length, theta + (0.0 if launch.axis is Axis.X else pi / 2.0))
+        theta += random.uniform(-0.005, 0.005)
+        looks += random.random() < 0.3
+        return random.random() < 0.5
+
+    monkeypatch.setattr(Driver, "_launch", drive)
+    monkeypatch.setattr(Driver, "_fact", lambda _, name: {LOOKS: looks, FRICTION: 0.1}[name])
+    driver = Driver(client, "teleop", 0.8)
+    for axis in Axis:
+        first = place
+        for friction in (0.2, 0.3, 0.4):
+            for way in (1.0, -1.0):
+                with contextlib.suppress(CalibrationError):  # not seen in all its tries
+                    driver(Launch(axis, friction, way * friction, 1.0))
+                assert abs(place - began) <= 1.05 * hypot(longest, abs(first - began))
+
+
+def test_a_robot_that_does_not_tell_where_it_is_is_not_launched() -> None:
+    client = Mock()
+    client.odometry.return_value = None
+    client.status.return_value.status = Mock(mode=Mode.IDLE, settings=(), chassis={LOOKS: 0.0})
+    with pytest.raises(CalibrationError, match="does not tell where it is"):
+        Driver(client, "teleop", 0.8)(Launch(Axis.X, 0.4, 1.0, 0.3))
+    client.set.assert_not_called()
 
 
 def test_nothing_that_waits_stands_between_the_commands_of_a_launch(monkeypatch: pytest.MonkeyPatch) -> None:
