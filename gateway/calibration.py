@@ -213,8 +213,8 @@ class Driver:
             raise CalibrationError("the robot does not tell where it is")
         self._began = self._began or here
         x, y = here.x - self._began.x, here.y - self._began.y
-        turned = (cos(here.theta), sin(here.theta)) if launch.axis is Axis.X else (-sin(here.theta), cos(here.theta))
-        away = (x * turned[0] + y * turned[1]) * launch.speed > 0.0
+        ahead = (cos(here.theta), sin(here.theta)) if launch.axis is Axis.X else (-sin(here.theta), cos(here.theta))
+        away = (x * ahead[0] + y * ahead[1]) * launch.speed > 0.0
         return launch._replace(speed=-launch.speed) if away else launch
 
     def _launch(self, launch: Launch) -> bool:

@@ -7,7 +7,8 @@ limits (seconds at full acceleration, the slowest axis counting), the remaining 
 same units and h the step. A rate that falls by rho h in each of n steps and ends at zero covers
 n r - rho h n (n - 1)/2 steps of way, so with the fewest n that suffice, r = (L/h)/n + rho h (n - 1)/2 lands on the
 target exactly: no overshoot at any loop rate.
-The acceleration vector then turns and grows no faster than the jerk limits allow.
+The acceleration vector then turns and grows no faster than the jerk limits allow; an axis that would be beyond its top
+speed meanwhile leaves the line and falls by itself (`landable`).
 
 What the floor feels is dv/dt + w x v: whoever drives a curve accelerates. So a twist may turn only as fast as its
 w x v stays within TURNING_SHARE of the acceleration limits, and dv/dt gets what w x v leaves of them. The set of such

@@ -86,6 +86,13 @@ def test_what_it_finds_is_what_the_floor_gives() -> None:
     assert robot.furthest < plans().furthest()
 
 
+def test_how_far_it_goes_counts_a_last_command_that_is_late() -> None:
+    """It goes on at top speed until its source has been silent for too long."""
+    patient = plans(lambda text: gripping(text).replace("timeout = 0.3", "timeout = 0.6"))
+    speed = plans().launch(Axis.X, plans().first).speed
+    assert patient.furthest() - plans().furthest() >= 0.3 * speed
+
+
 def test_a_round_goes_up_out_and_back_until_wheels_slip() -> None:
     asked: list[Launch] = []
 

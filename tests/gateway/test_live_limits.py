@@ -69,6 +69,18 @@ def test_no_change_of_a_limit_is_a_jump(
             rate = new
 
 
+def test_a_hand_that_trembles_on_another_axis_does_not_end_it() -> None:
+    """What falls there in a step has room in that step, beside what grows."""
+    acceleration, ease = (2.0, 2.0, 2.0), Ease(0.1, 0.1)
+    moving = limiter(Saturation.BOTH, (1.0, 1.0, 1.0), acceleration, (20.0, 20.0, 20.0))
+    before = 0.0
+    for step in range(500):
+        trembling = 0.2 * acceleration[2] * PERIOD * (-1.0) ** step
+        speed = moving.step((1.0, 0.0, trembling), PERIOD, ease=ease)[0][0]
+        assert speed - before <= 1.01 * ease.acceleration * acceleration[0] * PERIOD
+        before = speed
+
+
 @settings(max_examples=50, deadline=None)
 @given(vectors, vectors, jerks, shares, st.lists(st.tuples(st.floats(-1.0, 1.0), eases), min_size=1, max_size=5))
 def test_what_speeds_up_keeps_to_the_larger_of_both_and_soon_to_the_new_one(
