@@ -1,5 +1,6 @@
 """`drivegate report`: an archive that has all it should, names what is missing, and in no byte has a planted secret."""
 
+import errno
 import json
 import os
 import stat
@@ -13,7 +14,7 @@ import pytest
 
 from gateway import robot_files
 from gateway.cli import report_parts
-from gateway.cli.report import _Archive
+from gateway.cli.report import _Archive, _write
 from gateway.cli.report_parts import MissingError, Source, bounded, newest_incidents, source
 from gateway.core.settings import LIMITING
 from gateway.recording.bundle import kept
@@ -208,6 +209,17 @@ def test_a_part_in_which_something_is_left_is_left_out(tmp_path: Path, monkeypat
     assert set(archive.write(path, "now")) == {"doctor.json", "README.txt"}
     assert archive.missing["service.log"] == "something that was taken out of another part could not be taken out of it"
     assert places_of_secrets(path) == []
+
+
+def test_an_archive_that_cannot_be_written_whole_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("gateway.cli.report.os.fchmod", full)
+    path = tmp_path / "report.zip"
+    with pytest.raises(OSError, match="No space left"):
+        _write(path, {"robot.toml": b""})
+    assert not path.exists()
 
 
 def test_a_computer_called_as_its_robot_keeps_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
